@@ -1,0 +1,179 @@
+"""Recordings: what an MCAP file holds, and its camera frames in log-time order.
+
+    open_recording(path) -> Recording        what is in it
+    iter_frames(recording) -> Frames         one after another, memory bounded whatever the file
+
+Times are integer nanoseconds, ranges are start <= t < end. What cannot be read is lost with a phrase in
+`Recording.losses`, or refused when the recording was opened with `strict`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from mcap.records import Metadata
+
+from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.recording_cameras import find_cameras, select_cameras
+from inspect_pipeline.recording_extents import STRICT_REMEDY, Damage, RecordingFile, reading
+from inspect_pipeline.recording_frames import iter_frames
+from inspect_pipeline.recording_layout import Layout, count_messages, read_layout
+from inspect_pipeline.recording_summary import load_record
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from inspect_pipeline.types import CameraChannel
+
+__all__ = [
+    "RUN_METADATA",
+    "ChannelSummary",
+    "Recording",
+    "iter_frames",
+    "open_recording",
+    "select_cameras",
+]
+
+RUN_METADATA = "lsnet_pipe.run"  # name of the Metadata record that marks an annotated copy
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSummary:
+    """A channel of a recording. `message_count` is None where neither statistics nor indexes tell."""
+
+    channel_id: int
+    topic: str
+    schema_name: str
+    schema_encoding: str
+    message_encoding: str
+    message_count: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What an MCAP file holds.
+
+    start_ns, end_ns: first and last log time, both 0 without messages.
+    camera_channels: the colour cameras, each once, in the order of their topics.
+    metadata: the Metadata records by name.
+    losses: one phrase per part that cannot be read; grows while frames are read.
+    layout: where the records lie, for those who append to the file.
+    """
+
+    path: Path
+    size_bytes: int
+    strict: bool
+    profile: str
+    start_ns: int
+    end_ns: int
+    channels: tuple[ChannelSummary, ...]
+    camera_channels: tuple[CameraChannel, ...]
+    metadata: Mapping[str, Mapping[str, str]]
+    n_attachments: int
+    layout: Layout
+
+    @property
+    def losses(self) -> list[str]:
+        """One phrase per part that cannot be read, in the order they were met."""
+        return self.layout.losses
+
+    @property
+    def is_annotated_copy(self) -> bool:
+        """Whether this program wrote annotations into the file."""
+        return RUN_METADATA in self.metadata
+
+    @cached_property
+    def flight_id(self) -> str:
+        """SHA-256 of the content in hex; of an annotated copy, that of the flight it belongs to.
+
+        Reads the whole file once. Raises RecordingError.
+        """
+        named = self.metadata.get(RUN_METADATA, {}).get("flight_id")
+        if named:
+            return named
+        with reading(self.path), self.path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+
+    def message_counts(self) -> Counter[int]:
+        """Messages per channel id, read from the chunks where nothing else tells. Raises RecordingError."""
+        if self.layout.statistics is not None:
+            return Counter(self.layout.statistics.channel_message_counts)
+        with reading(self.path) as file:
+            return _count_all(file, self.layout)
+
+
+def open_recording(path: Path, *, strict: bool = False) -> Recording:
+    """Look into an MCAP file. Raises RecordingError when it is none, or damaged and `strict`."""
+    with reading(path) as file:
+        layout = read_layout(file)
+        channels = _channel_summaries(file, layout)
+        extents = [e for e in layout.extents if e.channel_ids is None or e.channel_ids]
+        recording = Recording(
+            path=path,
+            size_bytes=file.size_bytes,
+            strict=strict,
+            profile=layout.header.profile,
+            start_ns=min((e.start_ns for e in extents), default=0),
+            end_ns=max((e.end_ns for e in extents), default=0),
+            channels=channels,
+            camera_channels=find_cameras(file, layout, channels),
+            metadata=_read_metadata(file, layout),
+            n_attachments=len(layout.attachments),
+            layout=layout,
+        )
+    if strict and layout.losses:
+        raise RecordingError(path, layout.losses[0], STRICT_REMEDY)
+    return recording
+
+
+def _channel_summaries(file: RecordingFile, layout: Layout) -> tuple[ChannelSummary, ...]:
+    counts = _message_counts(file, layout)
+    return tuple(
+        ChannelSummary(
+            channel_id=channel.id,
+            topic=channel.topic,
+            schema_name=schema.name if schema else "",
+            schema_encoding=schema.encoding if schema else "",
+            message_encoding=channel.message_encoding,
+            message_count=counts.get(channel.id, 0) if counts is not None else None,
+        )
+        for channel in sorted(layout.channels.values(), key=lambda channel: (channel.topic, channel.id))
+        for schema in [layout.schemas.get(channel.schema_id)]
+    )
+
+
+def _message_counts(file: RecordingFile, layout: Layout) -> Mapping[int, int] | None:
+    """Messages per channel by the statistics, or by indexes; None where only reading everything tells."""
+    if layout.statistics is not None:
+        return layout.statistics.channel_message_counts
+    if any(extent.channel_ids is None for extent in layout.extents):
+        return None
+    return _count_all(file, layout)
+
+
+def _count_all(file: RecordingFile, layout: Layout) -> Counter[int]:
+    """Messages per channel; those of chunks that cannot be read are not counted."""
+    counts = Counter[int]()
+    for extent in layout.extents:
+        with suppress(Damage):
+            counts += count_messages(file, extent)
+    return counts
+
+
+def _read_metadata(file: RecordingFile, layout: Layout) -> dict[str, dict[str, str]]:
+    """The Metadata records by name; of several with one name, the last."""
+    metadata = {}
+    for index in layout.metadata:
+        try:
+            record = load_record(file, Metadata, index.offset)
+        except Damage as damage:
+            layout.losses.append(f"{damage} at byte {index.offset:,}")
+            continue
+        metadata[record.name] = record.metadata
+    return metadata

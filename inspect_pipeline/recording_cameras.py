@@ -1,0 +1,108 @@
+"""Which channels of a recording are colour cameras, each camera once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from inspect_pipeline import images
+from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.recording_extents import MESSAGE_HEAD, Damage, message_entries, read_extent
+from inspect_pipeline.types import CameraChannel
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+    from inspect_pipeline.recording import ChannelSummary, Recording
+    from inspect_pipeline.recording_extents import RecordingFile
+    from inspect_pipeline.recording_layout import Layout
+
+# Last parts of a topic that name the form of its images, not the camera.
+_FORMS = frozenset({"compressed", "raw", "image", "image_raw", "image_color", "image_compressed"})
+
+
+def find_cameras(
+    file: RecordingFile, layout: Layout, channels: Iterable[ChannelSummary]
+) -> tuple[CameraChannel, ...]:
+    """The channels of colour images with messages. Of one camera in several forms, the fullest channel."""
+    by_camera: dict[str, ChannelSummary] = {}
+    for channel in channels:
+        if not channel.message_count and channel.message_count is not None:
+            continue
+        if not _is_image(channel) or _is_depth(file, layout, channel):
+            continue
+        name = _camera_name(channel.topic)
+        known = by_camera.get(name)
+        if known is None or (channel.message_count or 0) > (known.message_count or 0):
+            by_camera[name] = channel
+    return tuple(_to_camera(channel) for channel in by_camera.values())
+
+
+def select_cameras(recording: Recording, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:
+    """The cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
+    if topics is None:
+        if not recording.camera_channels:
+            raise RecordingError(recording.path, "no camera topic", _what_it_has(recording))
+        return recording.camera_channels
+    images_by_topic = {c.topic: c for c in recording.channels if _is_image(c)}
+    for topic in topics:
+        if topic not in images_by_topic:
+            known = ", ".join(sorted(images_by_topic)) or "none"
+            raise RecordingError(recording.path, f"no images on topic {topic}", f"its image topics: {known}")
+    return tuple(_to_camera(c) for c in recording.channels if c.topic in topics and _is_image(c))
+
+
+def _is_image(channel: ChannelSummary) -> bool:
+    return images.is_image(channel.schema_name, channel.message_encoding)
+
+
+def _to_camera(channel: ChannelSummary) -> CameraChannel:
+    return CameraChannel(
+        channel_id=channel.channel_id,
+        topic=channel.topic,
+        schema_name=channel.schema_name,
+        message_encoding=channel.message_encoding,
+        message_count=channel.message_count,
+    )
+
+
+def _camera_name(topic: str) -> str:
+    """The topic without the parts at its end that only say how images are packed."""
+    parts = topic.split("/")
+    while len(parts) > 1 and parts[-1] in _FORMS:
+        parts.pop()
+    return "/".join(parts)
+
+
+def _is_depth(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> bool:
+    """Whether the first image of a channel holds distances; one that cannot be read is taken for colour."""
+    payload = _first_payload(file, layout, channel.channel_id)
+    if payload is None:
+        return False
+    try:
+        message = images.parse(channel.schema_name, channel.message_encoding, payload)
+    except images.ImageError:
+        return False
+    return images.is_depth(message, channel.topic)
+
+
+def _first_payload(file: RecordingFile, layout: Layout, channel_id: int) -> memoryview | None:
+    for extent in layout.extents:
+        if extent.channel_ids is not None and channel_id not in extent.channel_ids:
+            continue
+        try:
+            records = read_extent(file, extent)
+            entries = message_entries(records, frozenset({channel_id}))
+        except Damage:
+            continue
+        if entries:
+            _, start, end = entries[0]
+            return memoryview(records)[start + MESSAGE_HEAD.size : end]
+    return None
+
+
+def _what_it_has(recording: Recording) -> str:
+    """What a recording without a camera has instead: channels that sound like images, or any."""
+    seen = [c for c in recording.channels if "image" in c.schema_name.lower()] or recording.channels
+    if not seen:
+        return "it has no channels at all"
+    return "it has " + ", ".join(f"{c.topic} ({c.schema_name}, {c.message_encoding})" for c in seen[:5])

@@ -1,0 +1,220 @@
+"""Stretches of an MCAP file that hold messages, and the records in them.
+
+An `Extent` is a Chunk record, or a run of records that lie outside chunks. Read and decompressed, both
+are the same thing, a sequence of records, so everything above this module treats them alike.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import struct
+import zlib
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.opcode import Opcode
+
+from inspect_pipeline.errors import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+    from mcap.records import ChunkIndex
+
+RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
+MAX_CHUNK_BYTES = 256 << 20  # writers use 1 to 16 MiB; beyond this a length is damage or an attack
+STRICT_REMEDY = "without --strict the readable part is processed"
+_CHUNK_HEAD = struct.Struct(
+    "<QQQII"
+)  # start, end, uncompressed size, uncompressed crc, length of compression
+_MAX_COMPRESSION_NAME_BYTES = 32
+
+
+class Damage(Exception):  # noqa: N818 - a fact about the file, turned into RecordingError by `recording`
+    """Raised when a part of a recording cannot be read; the message is a phrase without the path."""
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[RecordingFile]:
+    """Open a recording for reading. Whatever goes wrong with it inside is raised as RecordingError."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise RecordingError(path, "it is not a file", "name an MCAP file")
+        with RecordingFile(path) as file:
+            yield file
+    except Damage as damage:
+        raise RecordingError(path, str(damage), "name an intact MCAP file, or copy it again") from damage
+    except FileNotFoundError as error:
+        raise RecordingError(path, "there is no such file", "check the name") from error
+    except OSError as error:
+        raise RecordingError(
+            path, f"it cannot be read ({error.strerror})", "check rights and disk"
+        ) from error
+
+
+class RecordingFile:
+    """Bounded random access to a file: no read goes past its end, none moves a position.
+
+    Raises OSError when the file cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        self.size_bytes = os.fstat(self._descriptor).st_size
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._descriptor)
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Exactly `length` bytes from `offset`. Raises Damage where the file is shorter."""
+        if offset + length > self.size_bytes:
+            raise Damage("the file is cut off")
+        parts = []
+        while length > 0:
+            part = os.pread(self._descriptor, length, offset)
+            if not part:
+                raise Damage("the file became shorter while it was read")
+            parts.append(part)
+            offset, length = offset + len(part), length - len(part)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def record_head(self, offset: int) -> tuple[int, int]:
+        """(opcode, length of the body) of the record at `offset`. Raises Damage when it is not all there."""
+        opcode, length = RECORD_HEAD.unpack(self.read(offset, RECORD_HEAD.size))
+        if offset + RECORD_HEAD.size + length > self.size_bytes:
+            raise Damage("the file is cut off")
+        return opcode, length
+
+
+@dataclass(slots=True, eq=False)
+class Extent:
+    """Where messages lie: a Chunk record (`chunk` set), or a run of records outside chunks.
+
+    `counts` has the messages per channel id where a scan or Message Index records told them.
+    Times are the first and last log time of its messages.
+    """
+
+    offset: int
+    length: int
+    start_ns: int
+    end_ns: int
+    chunk: ChunkIndex | None = None
+    counts: dict[int, int] | None = None
+
+    @property
+    def channel_ids(self) -> frozenset[int] | None:
+        """The channels with messages here; None when only reading can tell."""
+        if self.counts is not None:
+            return frozenset(i for i, count in self.counts.items() if count)
+        if self.chunk is not None and self.chunk.message_index_offsets:
+            return frozenset(self.chunk.message_index_offsets)
+        return None
+
+
+class ChunkHead(NamedTuple):
+    """The fields of a Chunk record before its data; `data_offset` counts from the start of the record."""
+
+    start_ns: int
+    end_ns: int
+    uncompressed_size_bytes: int
+    uncompressed_crc: int
+    compression: str
+    data_offset: int
+    data_size_bytes: int
+
+
+def read_chunk_head(file: RecordingFile, offset: int, length: int) -> ChunkHead:
+    """The head of the Chunk record at `offset` with a body of `length` bytes. Raises Damage."""
+    size = min(length, _CHUNK_HEAD.size + _MAX_COMPRESSION_NAME_BYTES + 8)
+    body = file.read(offset + RECORD_HEAD.size, size)
+    try:
+        start, end, uncompressed_size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
+        name_end = _CHUNK_HEAD.size + name_length
+        (data_size,) = struct.unpack_from("<Q", body, name_end)
+        name = body[_CHUNK_HEAD.size : name_end].decode("ascii")
+    except (struct.error, UnicodeDecodeError) as error:
+        raise Damage("a chunk has an unreadable head") from error
+    if name_end + 8 + data_size > length:
+        raise Damage("a chunk is shorter than it says")
+    data_offset = RECORD_HEAD.size + name_end + 8
+    return ChunkHead(start, end, uncompressed_size, crc, name, data_offset, data_size)
+
+
+def read_extent(file: RecordingFile, extent: Extent) -> bytes:
+    """The records of an extent, decompressed and checked against the chunk's CRC. Raises Damage."""
+    if extent.chunk is None:
+        return file.read(extent.offset, extent.length)
+    opcode, length = file.record_head(extent.offset)
+    if opcode != Opcode.CHUNK:
+        raise Damage("a chunk is not where the index says")
+    head = read_chunk_head(file, extent.offset, length)
+    if max(head.uncompressed_size_bytes, head.data_size_bytes) > MAX_CHUNK_BYTES:
+        raise Damage(f"a chunk claims more than {MAX_CHUNK_BYTES >> 20} MiB")
+    data = file.read(extent.offset + head.data_offset, head.data_size_bytes)
+    records = _decompress(head.compression, data, head.uncompressed_size_bytes)
+    if head.uncompressed_crc and zlib.crc32(records) != head.uncompressed_crc:
+        raise Damage("a chunk does not match its CRC")
+    return records
+
+
+def _decompress(compression: str, data: bytes, size_bytes: int) -> bytes:
+    if size_bytes == 0:
+        return b""
+    try:
+        if compression == "":
+            records = data
+        elif compression == "zstd":
+            # The frame's own size wins over max_output_size, so it is compared before memory is taken.
+            if zstandard.frame_content_size(data) not in (-1, size_bytes):
+                raise Damage("a chunk has another size than it says")
+            records = zstandard.ZstdDecompressor().decompress(data, max_output_size=size_bytes)
+        elif compression == "lz4":
+            records = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size_bytes)
+        else:
+            raise Damage(f"a chunk is compressed with {compression!r}, not none, lz4 or zstd")
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
+        raise Damage(f"a chunk cannot be decompressed with {compression}") from error
+    if len(records) != size_bytes:
+        raise Damage("a chunk has another size than it says")
+    return records
+
+
+def iter_records(records: bytes) -> Iterator[tuple[int, int, int]]:
+    """(opcode, start of the body, end of the body) of each record. Raises Damage when one overruns."""
+    at, end = 0, len(records)
+    while at < end:
+        if end - at < RECORD_HEAD.size:
+            raise Damage("a chunk ends inside a record")
+        opcode, length = RECORD_HEAD.unpack_from(records, at)
+        at += RECORD_HEAD.size
+        if length > end - at or not opcode:
+            raise Damage("a chunk ends inside a record")
+        yield opcode, at, at + length
+        at += length
+
+
+def message_entries(records: bytes, channel_ids: frozenset[int]) -> list[tuple[int, int, int]]:
+    """(log time, start, end of the body) of each message of `channel_ids`, in file order; raises Damage."""
+    entries = []
+    for opcode, start, end in iter_records(records):
+        if opcode != Opcode.MESSAGE:
+            continue
+        if end - start < MESSAGE_HEAD.size:
+            raise Damage("a message is shorter than its head")
+        channel_id, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(records, start)
+        if channel_id in channel_ids:
+            entries.append((log_time_ns, start, end))
+    return entries

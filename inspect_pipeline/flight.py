@@ -1,0 +1,97 @@
+"""What is known of one flight: the records of its `result.json`, the truth from which the index is built."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Literal
+
+from inspect_pipeline.types import CameraChannel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+RESULT_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ModelRecord:
+    """The detector that made the segments; `score_threshold` is the one its weights carry."""
+
+    model_id: str
+    name: str
+    preset: str
+    weights_sha256: str
+    score_threshold: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """One `process` or `batch`: run_id is a UUID, started_at is in UTC, config is plain JSON."""
+
+    run_id: str
+    started_at: datetime
+    host: str
+    app_version: str
+    config_sha256: str
+    config: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightTotals:
+    """Row counts of a flight; start_ns and end_ns are the log times of its first and last frame."""
+
+    n_frames: int
+    n_bad_frames: int
+    n_segments: int
+    n_lines: int
+    start_ns: int | None
+    end_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRecord:
+    """All that is known of a flight but its rows.
+
+    flight_id is the sha256 of the recording in hex, ingested_at is in UTC. `files` maps the name of each
+    file of the flight's folder to its size in bytes; the store fills it in when the flight is committed.
+    """
+
+    flight_id: str
+    source_uri: str
+    source_bytes: int
+    status: Literal["ok", "recovered"]
+    reason: str | None
+    ingested_at: datetime
+    run: RunRecord
+    model: ModelRecord
+    channels: tuple[CameraChannel, ...]
+    totals: FlightTotals
+    files: Mapping[str, int] = field(default_factory=dict)
+
+    def with_files(self, files: Mapping[str, int]) -> FlightRecord:
+        """The same flight with the sizes of its files."""
+        return replace(self, files=dict(files))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of result.json: plain JSON values, times as ISO 8601 in UTC."""
+        fields = asdict(self)
+        fields["ingested_at"] = _to_iso(self.ingested_at)
+        fields["run"]["started_at"] = _to_iso(self.run.started_at)
+        return {"result_version": RESULT_VERSION, **fields}
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> FlightRecord:
+        """The record that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
+        fields = {name: value[name] for name in cls.__dataclass_fields__}
+        run = value["run"]
+        fields["ingested_at"] = datetime.fromisoformat(value["ingested_at"])
+        fields["run"] = RunRecord(**{**run, "started_at": datetime.fromisoformat(run["started_at"])})
+        fields["model"] = ModelRecord(**value["model"])
+        fields["channels"] = tuple(CameraChannel(**channel) for channel in value["channels"])
+        fields["totals"] = FlightTotals(**value["totals"])
+        return cls(**fields)
+
+
+def _to_iso(time: datetime) -> str:
+    return time.astimezone(UTC).isoformat()

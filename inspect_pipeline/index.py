@@ -1,0 +1,299 @@
+"""The index: one DuckDB file made from the flights of a store, replaced whole at every publish.
+
+A publish works on a copy and renames it over the index. Readers keep the file they opened, are never kept
+waiting and never see half; a killed publish leaves the old index. The flights' result.json and parquet
+files are the truth: an index that is missing, corrupt or behind is brought up to them.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import duckdb
+
+from inspect_pipeline.errors import StoreError, StoreVersionError
+from inspect_pipeline.files import fsync_path, store_errors
+from inspect_pipeline.resources import MIGRATIONS, read_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from inspect_pipeline.store import Store, StoredFlight
+
+ROW_TABLES = ("frames", "segments", "lines")
+_FLIGHTS_PER_INSERT = 256
+
+# Files of this storage version are read by DuckDB 1.5 and 2 alike.
+_CONFIG: dict[str, str | bool | int | float | list[str]] = {
+    "storage_compatibility_version": "v1.5.0",
+    "memory_limit": "160MB",
+    "threads": "2",
+}
+_SET_CHANNEL_TIMES = """
+UPDATE channels SET first_ns = f.first_ns, last_ns = f.last_ns
+FROM (
+    SELECT flight_id, channel_id, min(log_time_ns) AS first_ns, max(log_time_ns) AS last_ns
+    FROM read_parquet(?, union_by_name := true)
+    GROUP BY ALL
+) AS f
+WHERE channels.flight_id = f.flight_id AND channels.channel_id = f.channel_id
+"""
+_REBUILD = "run lsnet-pipe index rebuild"
+
+
+@dataclass(frozen=True, slots=True)
+class IndexChange:
+    """What a publish did: flights in the index now, written, removed, and damaged folders left out."""
+
+    n_flights: int
+    n_written: int
+    n_removed: int
+    damaged: tuple[Path, ...]
+
+
+def publish(store: Store) -> IndexChange:
+    """Bring the index up to the flights of the store; nothing is written when it already is.
+
+    A missing or corrupt index is made anew. Raises StoreError, StoreVersionError.
+    """
+    with store.publish_lock():
+        flights, damaged = _whole_flights(store)
+        known = _published(store.index_path)
+        if known is None:
+            return _rebuild(store, flights, damaged)
+        if known == {flight.record.flight_id: flight.result_sha256 for flight in flights}:
+            return IndexChange(len(flights), 0, 0, tuple(damaged))
+        try:
+            return _replace_index(store, flights, damaged, known)
+        except duckdb.Error:  # a corrupt block, of the index or of a flight
+            return _rebuild(store, flights, damaged)
+
+
+def rebuild(store: Store) -> IndexChange:
+    """Make the index anew from the flights of the store; raises StoreError."""
+    with store.publish_lock():
+        return _rebuild(store, *_whole_flights(store))
+
+
+def verify(store: Store) -> tuple[str, ...]:
+    """What differs between the index and the flights of the store, a sentence each; every value is compared.
+
+    Raises StoreError, StoreVersionError.
+    """
+    with store.publish_lock():
+        flights, damaged = _whole_flights(store)
+        problems = [f"{folder}: damaged; process its recording again" for folder in damaged]
+        known = _published(store.index_path)
+        if known is None:
+            return (*problems, f"{store.index_path}: missing or corrupt; {_REBUILD}")
+        wanted = {flight.record.flight_id: flight for flight in flights}
+        problems += [f"{flight_id}: in the index only; {_REBUILD}" for flight_id in known.keys() - wanted]
+        problems += [f"{flight_id}: not in the index; {_REBUILD}" for flight_id in wanted.keys() - known]
+        same = {i: f for i, f in wanted.items() if known.get(i) == f.result_sha256}
+        problems += [f"{i}: older in the index; {_REBUILD}" for i in (wanted.keys() & known) - same.keys()]
+        return (*problems, *_compare_rows(store.index_path, list(same.values())))
+
+
+def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
+    """Apply the migrations that a database lacks, each in a transaction."""
+    for number, name in enumerate(MIGRATIONS[_version(connection) :], _version(connection) + 1):
+        connection.begin()
+        connection.execute(read_schema(name))
+        connection.execute(
+            "INSERT INTO schema_version VALUES (?, ?, ?)",
+            [number, datetime.now(UTC).replace(tzinfo=None), version("lsnet-pipe")],
+        )
+        connection.commit()
+
+
+def _version(connection: duckdb.DuckDBPyConnection) -> int:
+    """The number of migrations applied to a database."""
+    try:
+        row = connection.execute("SELECT max(version) FROM schema_version").fetchone()
+    except duckdb.CatalogException:
+        return 0
+    return int(row[0]) if row and row[0] else 0
+
+
+def _whole_flights(store: Store) -> tuple[list[StoredFlight], list[Path]]:
+    """The flights whose files are as result.json says, and the folders of the others."""
+    flights, damaged = store.scan()
+    cut = [flight.folder for flight in flights if not flight.is_whole()]
+    return [flight for flight in flights if flight.folder not in cut], [*damaged, *cut]
+
+
+def _published(path: Path) -> dict[str, str] | None:
+    """The sha256 of the result.json of each flight in an index; None when it must be made anew.
+
+    Raises StoreVersionError.
+    """
+    if not path.exists():
+        return None
+    try:
+        with duckdb.connect(path, read_only=True) as connection:
+            found = _version(connection)
+            if found > len(MIGRATIONS):
+                problem = f"index version {found}, this program knows {len(MIGRATIONS)}"
+                raise StoreVersionError(path, problem, "upgrade lsnet-pipe")
+            if found == 0:
+                return None
+            return dict(connection.execute("SELECT flight_id, result_sha256 FROM flights").fetchall())
+    except duckdb.Error:
+        return None
+
+
+def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Path]) -> IndexChange:
+    try:
+        return _replace_index(store, flights, damaged, None)
+    except duckdb.Error:
+        unreadable = [flight.folder for flight in flights if not _is_readable(flight)]
+    readable = [flight for flight in flights if flight.folder not in unreadable]
+    try:
+        return _replace_index(store, readable, [*damaged, *unreadable], None)
+    except duckdb.Error as error:
+        problem = f"cannot be made ({str(error).splitlines()[0]})"
+        raise StoreError(
+            store.index_path, problem, "check the space on the disk, then " + _REBUILD
+        ) from error
+
+
+def _replace_index(
+    store: Store, flights: list[StoredFlight], damaged: list[Path], known: Mapping[str, str] | None
+) -> IndexChange:
+    """Write the next index, from the current one with its `known` flights or from nothing, and rename it.
+
+    Raises duckdb.Error, StoreError.
+    """
+    path, following = store.index_path, store.index_path.with_name("index.duckdb.next")
+    changed = [f for f in flights if known is None or known.get(f.record.flight_id) != f.result_sha256]
+    removed = set(known or ()) - {flight.record.flight_id for flight in flights}
+    with store_errors(path):
+        _remove_database(following)
+        if known is not None:
+            shutil.copyfile(path, following)
+        with duckdb.connect(following, config=_CONFIG) as connection:
+            create_tables(connection)
+            _replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
+            connection.execute(read_schema("views.sql"))
+            connection.execute("CHECKPOINT")
+        fsync_path(following)
+        # Not ours, but a log left by someone's own DuckDB would be replayed into the new file.
+        path.with_name("index.duckdb.wal").unlink(missing_ok=True)
+        following.replace(path)
+        fsync_path(path.parent)
+    store.append_manifest("publish", n_flights=len(flights), n_written=len(changed), n_removed=len(removed))
+    return IndexChange(len(flights), len(changed), len(removed), tuple(damaged))
+
+
+def _remove_database(path: Path) -> None:
+    """Remove a database with its log and its spilled blocks, left by a killed publish."""
+    for leftover in path.parent.glob(f"{path.name}*"):
+        shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+
+
+def _replace_rows(
+    connection: duckdb.DuckDBPyConnection, removed: list[str], flights: list[StoredFlight]
+) -> None:
+    """Remove the rows of some flights and insert those of others, in one transaction."""
+    connection.begin()
+    for table in ("flights", "channels", *ROW_TABLES):
+        connection.execute(f"DELETE FROM {table} WHERE flight_id IN (SELECT unnest(?))", [removed])
+    for start in range(0, len(flights), _FLIGHTS_PER_INSERT):
+        _insert_flights(connection, flights[start : start + _FLIGHTS_PER_INSERT])
+    connection.execute("DELETE FROM models WHERE model_id NOT IN (SELECT model_id FROM flights)")
+    connection.execute("DELETE FROM runs WHERE run_id NOT IN (SELECT run_id FROM flights)")
+    connection.commit()
+
+
+def _insert_flights(connection: duckdb.DuckDBPyConnection, flights: Sequence[StoredFlight]) -> None:
+    for table in ROW_TABLES:
+        statement = f"INSERT INTO {table} BY NAME SELECT * FROM read_parquet(?, union_by_name := true)"
+        connection.execute(statement, [_row_files(flights, table)])
+    records = {flight.result_sha256: flight.record.to_json() for flight in flights}
+    runs = {record["run"]["run_id"]: record["run"] for record in records.values()}
+    models = {record["model"]["model_id"]: record["model"] for record in records.values()}
+    channels = [
+        {"flight_id": record["flight_id"], **channel}
+        for record in records.values()
+        for channel in record["channels"]
+    ]
+    _insert_records(connection, "INSERT OR REPLACE INTO runs", "runs", list(runs.values()))
+    _insert_records(connection, "INSERT OR REPLACE INTO models", "models", list(models.values()))
+    _insert_records(connection, "INSERT INTO flights", "flights", [_flight_row(*r) for r in records.items()])
+    _insert_records(connection, "INSERT INTO channels", "channels", channels)
+    connection.execute(_SET_CHANNEL_TIMES, [_row_files(flights, "frames")])
+
+
+def _flight_row(result_sha256: str, record: dict[str, Any]) -> dict[str, Any]:
+    own = ("flight_id", "source_uri", "source_bytes", "status", "reason", "ingested_at")
+    return {
+        **{name: record[name] for name in own},
+        **record["totals"],
+        "run_id": record["run"]["run_id"],
+        "model_id": record["model"]["model_id"],
+        "config_sha256": record["run"]["config_sha256"],
+        "result_sha256": result_sha256,
+    }
+
+
+def _insert_records(
+    connection: duckdb.DuckDBPyConnection, insert: str, table: str, rows: list[dict[str, Any]]
+) -> None:
+    """Insert rows whose keys are columns of `table`, in one statement; their types are the table's."""
+    if not rows:
+        return
+    described = connection.execute(f"DESCRIBE {table}").fetchall()
+    shape = {name: kind for name, kind, *_ in described if name in rows[0]}
+    connection.execute(
+        f"{insert} BY NAME SELECT unnest(row) FROM (SELECT unnest(from_json(?, ?)) AS row)",
+        [json.dumps(rows), json.dumps([shape])],
+    )
+
+
+def _row_files(flights: Iterable[StoredFlight], table: str) -> list[str]:
+    return [str(flight.folder / f"{table}.parquet") for flight in flights]
+
+
+def _compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
+    """The flights whose rows in the index are not those of their parquet files."""
+    unreadable = [flight for flight in flights if not _is_readable(flight)]
+    problems = [f"{flight.folder}: unreadable; process its recording again" for flight in unreadable]
+    readable = [flight for flight in flights if flight not in unreadable]
+    try:
+        with duckdb.connect(index_path, read_only=True) as connection:
+            for table in ROW_TABLES if readable else ():
+                expected = _digests(connection, table, f"read_parquet({_row_files(readable, table)})")
+                found = _digests(connection, table, table)
+                differing = [i for i, digest in expected.items() if found.get(i) != digest]
+                problems += [f"{i}: other {table} in the index; {_REBUILD}" for i in differing]
+    except duckdb.Error as error:
+        problems.append(f"{index_path}: {str(error).splitlines()[0]}; {_REBUILD}")
+    return problems
+
+
+def _digests(connection: duckdb.DuckDBPyConnection, table: str, source: str) -> dict[str, tuple[int, int]]:
+    """The number of rows and a hash of all their values, per flight of `source`, which is like `table`."""
+    described = connection.execute(f"DESCRIBE {table}").fetchall()
+    columns = ", ".join(name for name, *_ in described if not name.endswith("_utc"))
+    rows = connection.execute(
+        f"SELECT flight_id, count(*), bit_xor(hash({columns})) FROM {source} GROUP BY flight_id"
+    ).fetchall()
+    return {flight_id: (count, digest) for flight_id, count, digest in rows}
+
+
+def _is_readable(flight: StoredFlight) -> bool:
+    """Whether every value of a flight's parquet files can be read."""
+    with duckdb.connect(":memory:", config=_CONFIG) as connection:
+        create_tables(connection)
+        try:
+            for table in ROW_TABLES:
+                _digests(connection, table, f"read_parquet({_row_files([flight], table)})")
+        except duckdb.Error:
+            return False
+    return True

@@ -1,0 +1,123 @@
+"""New recordings of camera images and positions: Foxglove schemas in protobuf, zstd chunks."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from importlib.metadata import version
+from typing import TYPE_CHECKING, cast
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from mcap.writer import CompressionType, Writer
+
+from inspect_pipeline.protobuf import file_descriptor_set
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from google.protobuf.descriptor import FileDescriptor
+    from google.protobuf.message import Message
+
+
+@contextmanager
+def new_recording(target: Path) -> Iterator[RecordingAuthor]:
+    """Write a recording to `target`, which must not exist. Complete on a clean exit, removed on an exception.
+
+    Raises OSError when the target cannot be written.
+    """
+    with target.open("xb") as file:
+        # Without summary offsets: the package writes empty groups, which checkers take for errors.
+        writer = Writer(file, compression=CompressionType.ZSTD, use_summary_offsets=False)
+        try:
+            writer.start(profile="", library=f"lsnet-pipe {version('lsnet-pipe')}")
+            yield RecordingAuthor(writer)
+            writer.finish()  # type: ignore[no-untyped-call]
+        except BaseException:
+            target.unlink(missing_ok=True)
+            raise
+
+
+class RecordingAuthor:
+    """Appends messages to a new recording. A message's header stamp, log time and publish time are one."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schema_ids: dict[str, int] = {}
+        self._channel_ids: dict[str, int] = {}
+
+    def write_image(self, topic: str, time_ns: int, frame_id: str, data: bytes, image_format: str) -> None:
+        """Append an encoded image as foxglove.CompressedImage; `image_format` is "jpeg", "png" or "webp"."""
+        message = CompressedImage(frame_id=frame_id, data=data, format=image_format)
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_location(
+        self,
+        topic: str,
+        time_ns: int,
+        frame_id: str,
+        *,
+        latitude_deg: float,
+        longitude_deg: float,
+        altitude_m: float,
+    ) -> None:
+        """Append a position (WGS 84, metres above the ellipsoid) as foxglove.LocationFix."""
+        message = LocationFix(
+            frame_id=frame_id, latitude=latitude_deg, longitude=longitude_deg, altitude=altitude_m
+        )
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_calibration(
+        self,
+        topic: str,
+        time_ns: int,
+        frame_id: str,
+        *,
+        image_size: tuple[int, int],
+        focal_px: tuple[float, float],
+        centre_px: tuple[float, float],
+        distortion: Sequence[float] = (),
+    ) -> None:
+        """Append a pinhole camera as foxglove.CameraCalibration.
+
+        image_size is (height, width); focal_px and centre_px are (x, y), the centre counted from the
+        top-left corner; distortion holds the plumb_bob coefficients k1, k2, p1, p2, k3, or nothing.
+        """
+        (height, width), (fx, fy), (cx, cy) = image_size, focal_px, centre_px
+        # Calibrations count from the centre of the top-left pixel.
+        cx, cy = cx - 0.5, cy - 0.5
+        message = CameraCalibration(
+            frame_id=frame_id,
+            width=width,
+            height=height,
+            distortion_model="plumb_bob",
+            D=distortion or [0.0] * 5,
+            K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
+            R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
+            P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
+        )
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
+        """Append a Metadata record."""
+        self._writer.add_metadata(name, dict(metadata))
+
+    def _write(self, topic: str, time_ns: int, message: Message) -> None:
+        if topic not in self._channel_ids:
+            schema_id = self._schema_id(message)
+            self._channel_ids[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
+        self._writer.add_message(
+            self._channel_ids[topic], time_ns, message.SerializeToString(), publish_time=time_ns
+        )
+
+    def _schema_id(self, message: Message) -> int:
+        descriptor = message.DESCRIPTOR
+        if descriptor.full_name not in self._schema_ids:
+            self._schema_ids[descriptor.full_name] = self._writer.register_schema(
+                descriptor.full_name, "protobuf", file_descriptor_set(cast("FileDescriptor", descriptor.file))
+            )
+        return self._schema_ids[descriptor.full_name]

@@ -63,6 +63,7 @@ def publish(store: Store) -> IndexChange:
     A missing or corrupt index is made anew. Raises StoreError, StoreVersionError.
     """
     with store.publish_lock():
+        store.remove_leftovers()
         flights, damaged = _whole_flights(store)
         known = _published(store.index_path)
         if known is None:
@@ -78,6 +79,7 @@ def publish(store: Store) -> IndexChange:
 def rebuild(store: Store) -> IndexChange:
     """Make the index anew from the flights of the store; raises StoreError."""
     with store.publish_lock():
+        store.remove_leftovers()
         return _rebuild(store, *_whole_flights(store))
 
 

@@ -141,7 +141,7 @@ class Store:
     def _own(self, path: Path) -> Iterator[None]:
         """Hold the lock beside the staging folder `path`, which tells others that its process lives."""
         with store_errors(self.root), acquire_lock(self._staging / "mutex", wait=True):
-            self._remove_leftovers()
+            self._discard_dead()
             lock = acquire_lock(_lock_of(path), wait=False)
         with lock:
             try:
@@ -149,8 +149,14 @@ class Store:
             finally:
                 self._discard(path)
 
-    def _remove_leftovers(self) -> None:
-        """Remove what dead processes left in staging/; the caller holds its mutex."""
+    def remove_leftovers(self) -> None:
+        """Remove what killed processes left behind; live ones keep theirs. Raises StoreError."""
+        if self._staging.exists():
+            with store_errors(self.root), acquire_lock(self._staging / "mutex", wait=True):
+                self._discard_dead()
+
+    def _discard_dead(self) -> None:
+        """Discard the staging folders whose lock is free; the caller holds the mutex, so none is being made."""
         for path in self._staging.glob("*.lock"):
             with suppress(BlockingIOError), acquire_lock(path, wait=False):
                 self._discard(path.with_suffix(""))

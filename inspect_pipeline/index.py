@@ -154,7 +154,7 @@ def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Path]) -> 
     try:
         return _replace_index(store, flights, damaged, None)
     except duckdb.Error:
-        unreadable = [flight.folder for flight in flights if not _is_readable(flight)]
+        unreadable = _unreadable(flights)
     readable = [flight for flight in flights if flight.folder not in unreadable]
     try:
         return _replace_index(store, readable, [*damaged, *unreadable], None)
@@ -264,18 +264,19 @@ def _row_files(flights: Iterable[StoredFlight], table: str) -> list[str]:
 
 def _compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
     """The flights whose rows in the index are not those of their parquet files."""
-    unreadable = [flight for flight in flights if not _is_readable(flight)]
-    problems = [f"{flight.folder}: unreadable; process its recording again" for flight in unreadable]
-    readable = [flight for flight in flights if flight not in unreadable]
+    problems = []
     try:
         with duckdb.connect(index_path, read_only=True) as connection:
-            for table in ROW_TABLES if readable else ():
-                expected = _digests(connection, table, f"read_parquet({_row_files(readable, table)})")
+            for table in ROW_TABLES if flights else ():
+                expected = _digests(connection, table, f"read_parquet({_row_files(flights, table)})")
                 found = _digests(connection, table, table)
                 differing = [i for i, digest in expected.items() if found.get(i) != digest]
                 problems += [f"{i}: other {table} in the index; {_REBUILD}" for i in differing]
     except duckdb.Error as error:
-        problems.append(f"{index_path}: {str(error).splitlines()[0]}; {_REBUILD}")
+        unreadable = _unreadable(flights)
+        problems += [f"{folder}: unreadable; process its recording again" for folder in unreadable]
+        if not unreadable:
+            problems.append(f"{index_path}: {str(error).splitlines()[0]}; {_REBUILD}")
     return problems
 
 
@@ -289,13 +290,14 @@ def _digests(connection: duckdb.DuckDBPyConnection, table: str, source: str) -> 
     return {flight_id: (count, digest) for flight_id, count, digest in rows}
 
 
-def _is_readable(flight: StoredFlight) -> bool:
-    """Whether every value of a flight's parquet files can be read."""
+def _unreadable(flights: list[StoredFlight]) -> list[Path]:
+    """The folders of the flights with a value in their parquet files that cannot be read."""
+    folders = []
     with duckdb.connect(":memory:", config=_CONFIG) as connection:
-        create_tables(connection)
-        try:
-            for table in ROW_TABLES:
-                _digests(connection, table, f"read_parquet({_row_files([flight], table)})")
-        except duckdb.Error:
-            return False
-    return True
+        for flight in flights:
+            try:
+                for file in (flight.folder / f"{table}.parquet" for table in ROW_TABLES):
+                    connection.execute("SELECT bit_xor(hash(row)) FROM read_parquet(?) AS row", [str(file)])
+            except duckdb.Error:
+                folders.append(flight.folder)
+    return folders

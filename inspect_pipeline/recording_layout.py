@@ -127,7 +127,7 @@ def _walk(file: RecordingFile, known: Mapping[int, ChunkIndex]) -> Layout:
         layout.data_crc = load_record(file, DataEnd, layout.data_end).data_section_crc
     except Damage as damage:
         layout.losses.append(_lost_tail(damage, layout.data_end, file.size_bytes))
-        _forget_message_indexes(layout)
+        _forget_cut_indexes(layout)
     if known and (layout.losses or not known.keys() <= {extent.offset for extent in layout.extents}):
         raise _WrongIndexError
     return layout
@@ -156,12 +156,16 @@ def _lost_tail(damage: Damage, offset: int, size_bytes: int) -> str:
     return f"{damage} after byte {offset:,}: {size_bytes - offset:,} bytes are lost"
 
 
-def _forget_message_indexes(layout: Layout) -> None:
-    """Of the chunk at a cut some indexes may be missing, and with them channels: then none can be used."""
-    chunk = layout.extents[-1].chunk if layout.extents else None
-    if chunk is not None:
+def _forget_cut_indexes(layout: Layout) -> None:
+    """Of the chunk at a cut some indexes may be missing, and with them channels: none of them can be used."""
+    extent = layout.extents[-1] if layout.extents else None
+    if extent is None or extent.chunk is None:
+        return
+    chunk, end = extent.chunk, extent.offset + extent.length
+    if layout.data_end == end + chunk.message_index_length:
         chunk.message_index_offsets, chunk.message_index_length = {}, 0
-        layout.extents[-1].counts = None
+        extent.counts = None
+        layout.data_end = end
 
 
 def _chunk_extent(chunk: ChunkIndex) -> Extent:

@@ -12,38 +12,32 @@ from __future__ import annotations
 
 import errno
 import os
-import struct
 import zlib
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from importlib.metadata import version
+from threading import Event
 from typing import TYPE_CHECKING
 
 import zstandard
-from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Header, Metadata, MetadataIndex, Schema
+from mcap.records import Channel, Header, Metadata, MetadataIndex, Schema
 
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording_extents import RECORD_HEAD
+from inspect_pipeline.recording_extents import Damage, RecordingFile, read_extent
 from inspect_pipeline.recording_summary import MAGIC
+from inspect_pipeline.writeback_chunks import ChunkBuilder, encode_message_indexes, message_index
 from inspect_pipeline.writeback_summary import Contents, encode_end, encode_records
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
     from typing import BinaryIO
 
     from inspect_pipeline.recording import Recording
 
-# Short in time, so that a player that seeks need not fetch the annotations of the whole flight.
-_CHUNK_NS = 5_000_000_000
-_CHUNK_BYTES = 256 << 10
-_COPY_BYTES = 1 << 30
+_COPY_BYTES = 256 << 20
 _MAX_ID = 0xFFFF
-_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log time, publish time
-_MESSAGE_HEAD_BYTES = _MESSAGE.size - RECORD_HEAD.size
-_CHUNK = struct.Struct("<BQQQQII4sQ")  # opcode, length, start, end, size, crc, compression, compressed size
-_INDEX = struct.Struct("<BQHI")  # opcode, length, channel id, length of the entries
-_COMPRESSION = b"zstd"
 _NO_COPY_RANGE = {errno.EXDEV, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM}
 
 
@@ -59,11 +53,12 @@ def annotated_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter
     before = _fingerprint(source.path)
     end = source.layout.data_end
     with _new_file(target) as file, source.path.open("rb") as original:
-        _copy_range(original.fileno(), file.fileno(), end)
         file.seek(end)
         writer = AnnotationWriter(file, source, Contents.of(source), end, source.layout.data_crc)
-        yield writer
-        writer.finish()
+        writer.index_cut_chunk()
+        with _copying(original, file, end):
+            yield writer
+            writer.finish()
         if _fingerprint(source.path) != before or before[0] != source.size_bytes:
             raise RecordingError(source.path, "it changed while it was copied", "wait until it is complete")
 
@@ -95,7 +90,7 @@ class AnnotationWriter:
         self._contents = contents
         self._position = position
         self._data_crc = data_crc
-        self._chunk = _ChunkBuilder()
+        self._chunk = ChunkBuilder()
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._schema_ids: dict[tuple[str, str, bytes], int] = {}
 
@@ -136,6 +131,20 @@ class AnnotationWriter:
         self._contents.metadata.append(MetadataIndex(self._position, len(record), name))
         self._append(record)
 
+    def index_cut_chunk(self) -> None:
+        """Append the message indexes that a cut took from the last chunk: players refuse a file with gaps."""
+        last = self._source.layout.extents[-1:]
+        chunk = last[0].chunk if last and self._source.losses else None
+        if chunk is None or chunk.message_index_offsets or last[0].offset + last[0].length != self._position:
+            return
+        with RecordingFile(self._source.path) as file, suppress(Damage):
+            index = message_index(read_extent(file, last[0]))
+            encoded, offsets = encode_message_indexes(index, self._position)
+            self._contents.chunks[-1] = replace(
+                chunk, message_index_offsets=offsets, message_index_length=len(encoded)
+            )
+            self._append(encoded)
+
     def finish(self) -> None:
         """Write what is left, the summary and the footer."""
         self._flush_chunk()
@@ -161,79 +170,13 @@ class AnnotationWriter:
             encoded, index = self._chunk.encode(self._compressor, self._position)
             self._contents.add_chunk(index)
             self._append(encoded)
-            self._chunk = _ChunkBuilder()
+            self._chunk = ChunkBuilder()
 
     def _append(self, data: bytes) -> None:
         self._file.write(data)
         self._position += len(data)
         if self._data_crc:
             self._data_crc = zlib.crc32(data, self._data_crc)
-
-
-class _ChunkBuilder:
-    """The records of one chunk in the making, and where its messages are among them."""
-
-    def __init__(self) -> None:
-        self.records = bytearray()
-        self._index: dict[int, list[int]] = {}  # by channel: log time, offset, log time, offset, ...
-        self._start_ns = self._end_ns = 0
-
-    def is_full_at(self, log_time_ns: int) -> bool:
-        """Whether a message of this time belongs into the next chunk."""
-        if not self._index:
-            return False
-        span_ns = max(self._end_ns, log_time_ns) - min(self._start_ns, log_time_ns)
-        return span_ns > _CHUNK_NS or len(self.records) >= _CHUNK_BYTES
-
-    def add(
-        self, channel_id: int, sequence: int, log_time_ns: int, publish_time_ns: int, data: bytes
-    ) -> None:
-        if not self._index:
-            self._start_ns = self._end_ns = log_time_ns
-        self._start_ns = min(self._start_ns, log_time_ns)
-        self._end_ns = max(self._end_ns, log_time_ns)
-        self._index.setdefault(channel_id, []).extend((log_time_ns, len(self.records)))
-        length = _MESSAGE_HEAD_BYTES + len(data)
-        self.records += _MESSAGE.pack(
-            Opcode.MESSAGE, length, channel_id, sequence, log_time_ns, publish_time_ns
-        )
-        self.records += data
-
-    def encode(self, compressor: zstandard.ZstdCompressor, offset: int) -> tuple[bytes, ChunkIndex]:
-        """The Chunk record with its Message Index records, to stand at `offset`, and its Chunk Index."""
-        data = compressor.compress(self.records)
-        head = _CHUNK.pack(
-            Opcode.CHUNK,
-            _CHUNK.size - RECORD_HEAD.size + len(data),
-            self._start_ns,
-            self._end_ns,
-            len(self.records),
-            zlib.crc32(self.records),
-            len(_COMPRESSION),
-            _COMPRESSION,
-            len(data),
-        )
-        encoded = bytearray(head + data)
-        chunk_length = len(encoded)
-        index_offsets = {}
-        for channel_id, entries in self._index.items():
-            index_offsets[channel_id] = offset + len(encoded)
-            entries_bytes = 8 * len(entries)
-            length = _INDEX.size - RECORD_HEAD.size + entries_bytes
-            encoded += _INDEX.pack(Opcode.MESSAGE_INDEX, length, channel_id, entries_bytes)
-            encoded += struct.pack(f"<{len(entries)}Q", *entries)
-        index = ChunkIndex(
-            message_start_time=self._start_ns,
-            message_end_time=self._end_ns,
-            chunk_start_offset=offset,
-            chunk_length=chunk_length,
-            message_index_offsets=index_offsets,
-            message_index_length=len(encoded) - chunk_length,
-            compression=_COMPRESSION.decode(),
-            compressed_size=len(data),
-            uncompressed_size=len(self.records),
-        )
-        return bytes(encoded), index
 
 
 def _refuse_annotated(source: Recording) -> None:
@@ -261,18 +204,38 @@ def _new_file(target: Path) -> Iterator[BinaryIO]:
             raise
 
 
-def _copy_range(source: int, target: int, length: int) -> None:
-    """Copy the first `length` bytes between descriptors inside the kernel, sharing blocks where it can."""
+@contextmanager
+def _copying(source: BinaryIO, target: BinaryIO, length: int) -> Iterator[None]:
+    """Copy the first `length` bytes of a file meanwhile; done on a clean exit, stopped by an exception."""
+    stop = Event()
+    with ThreadPoolExecutor(1) as pool:
+        copy = pool.submit(_copy_prefix, source.fileno(), target.fileno(), length, stop)
+        try:
+            yield
+        except BaseException:
+            stop.set()
+            raise
+        copy.result()
+
+
+def _copy_prefix(source: int, target: int, length: int, stop: Event) -> None:
+    """Copy between descriptors, inside the kernel and sharing blocks where the file system can."""
+    copy: Callable[[int, int, int, int, int], int] = os.copy_file_range
     offset = 0
-    while offset < length:
+    while offset < length and not stop.is_set():
         count = min(length - offset, _COPY_BYTES)
         try:
-            n_copied = os.copy_file_range(source, target, count, offset, offset)
+            n_copied = copy(source, target, count, offset, offset)
         except OSError as error:
-            if error.errno not in _NO_COPY_RANGE:
+            if error.errno not in _NO_COPY_RANGE or copy is _copy_bytes:
                 raise
-            os.lseek(target, offset, os.SEEK_SET)
-            n_copied = os.sendfile(target, source, offset, count)
+            copy = _copy_bytes
+            continue
         if n_copied == 0:
             raise OSError(errno.EIO, "the recording became shorter while it was copied")
         offset += n_copied
+
+
+def _copy_bytes(source: int, target: int, count: int, source_offset: int, target_offset: int) -> int:
+    """The part of os.copy_file_range that is needed, for file systems without it."""
+    return os.pwrite(target, os.pread(source, min(count, 1 << 20), source_offset), target_offset)

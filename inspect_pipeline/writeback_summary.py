@@ -37,8 +37,7 @@ _FOOTER_CRC_BYTES = 4
 class Contents:
     """What a file holds: the records its summary repeats or points to.
 
-    has_loose_messages: messages outside chunks, which no index can point to. A chunk index would make
-    readers overlook them, so such a file gets none.
+    has_loose_messages: messages outside chunks, which no index can point to.
     start_ns, end_ns: first and last log time, None without messages.
     """
 
@@ -77,6 +76,12 @@ class Contents:
             self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
             self.end_ns = end_ns if self.end_ns is None else max(self.end_ns, end_ns)
 
+    @property
+    def is_indexed(self) -> bool:
+        """Whether an index finds every message. Else readers would overlook the rest, or refuse the file."""
+        gaps = (c for c in self.chunks if c.message_end_time and not c.message_index_offsets)
+        return not self.has_loose_messages and next(gaps, None) is None
+
     def statistics(self) -> Statistics:
         """The Statistics record."""
         return Statistics(
@@ -109,7 +114,7 @@ def encode_end(contents: Contents, position: int, data_crc: int) -> bytes:
         (Opcode.SCHEMA, contents.schemas.values()),
         (Opcode.CHANNEL, contents.channels.values()),
         (Opcode.STATISTICS, [contents.statistics()]),
-        (Opcode.CHUNK_INDEX, [] if contents.has_loose_messages else contents.chunks),
+        (Opcode.CHUNK_INDEX, contents.chunks if contents.is_indexed else []),
         (Opcode.ATTACHMENT_INDEX, contents.attachments),
         (Opcode.METADATA_INDEX, contents.metadata),
     ]

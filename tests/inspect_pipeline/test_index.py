@@ -73,11 +73,8 @@ def test_published_rows(store: Store) -> None:
 
 
 def test_times_stand_beside_their_nanoseconds(store: Store) -> None:
-    rows = ask(
-        store,
-        "SELECT log_time_ns, log_time_utc::VARCHAR, stamp_utc::VARCHAR FROM frames WHERE frame_idx = 2 LIMIT 1",
-    )
-    assert rows == [
+    columns = "log_time_ns, log_time_utc::VARCHAR, stamp_utc::VARCHAR"
+    assert ask(store, f"SELECT DISTINCT {columns} FROM frames WHERE frame_idx = 2") == [
         (flights.START_NS + 200_000_000, "2023-11-14 22:13:20.323456", "2023-11-14 22:13:20.323456")
     ]
     assert ask(store, "SELECT DISTINCT first_ns, last_utc::VARCHAR FROM channels ORDER BY ALL") == [

@@ -1,0 +1,1 @@
+"""Recordings in, annotations and rows out."""

@@ -1,0 +1,59 @@
+"""Every error a user can meet, one line each: the message names the file and says what to do.
+
+InspectError
+├── RecordingError       a recording that cannot be read or annotated
+├── StoreError           a store that cannot be read or written
+│   ├── StoreBusyError       exit 11
+│   └── StoreVersionError    exit 12
+├── QueryError           an SQL statement that is refused or fails
+└── DetectorError        weights, images or training data that cannot be used
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class InspectError(Exception):
+    """Base of all errors that are told to the user in one line."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class RecordingError(InspectError):
+    """Raised when a recording cannot be read or annotated: `path: problem; remedy`."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(f"{path}: {problem}; {remedy}")
+        self.path, self.problem, self.remedy = path, problem, remedy
+
+
+class StoreError(InspectError):
+    """Raised when a store cannot be read or written: `path: problem; remedy`."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(f"{path}: {problem}; {remedy}")
+        self.path, self.problem, self.remedy = path, problem, remedy
+
+
+class StoreBusyError(StoreError):
+    """Raised when another process holds the store."""
+
+    exit_code = 11
+
+
+class StoreVersionError(StoreError):
+    """Raised when a store was written by a newer version of this program."""
+
+    exit_code = 12
+
+
+class QueryError(InspectError):
+    """Raised when an SQL statement is refused or fails."""
+
+
+class DetectorError(InspectError):
+    """Raised when weights, images or training data cannot be used."""

@@ -1,0 +1,1 @@
+"""Named weights shipped with the package."""

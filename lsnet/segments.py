@@ -1,0 +1,96 @@
+"""What the detector says: `Segments` from grid cells, `Lines` merged from them, `Detections` of one image.
+
+Pixel convention, everywhere in this project: the origin is the top-left corner of the top-left pixel,
+so the centre of pixel (i, j) is (j + 0.5, i + 0.5). Endpoints are xyxy, sizes are (height, width).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Line segments of one image.
+
+    endpoints: (N, 4) float32, x1 y1 x2 y2 in pixels of an image of `image_size`.
+    scores: (N,) float32 in [0, 1].
+    image_size: (height, width) in pixels.
+    Raises ValueError when the shapes disagree.
+    """
+
+    endpoints: NDArray[np.float32]
+    scores: NDArray[np.float32]
+    image_size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        if self.endpoints.ndim != 2 or self.endpoints.shape[1] != 4:
+            raise ValueError(f"endpoints must be (N, 4), not {self.endpoints.shape}")
+        if self.scores.shape != self.endpoints.shape[:1]:
+            raise ValueError(f"{len(self.endpoints)} endpoints with scores of shape {self.scores.shape}")
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    @classmethod
+    def empty(cls, image_size: tuple[int, int]) -> Segments:
+        """No segments in an image of (height, width)."""
+        return cls(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), image_size)
+
+    def above(self, min_score: float) -> Segments:
+        """The segments whose score is at least `min_score`, order kept."""
+        keep = self.scores >= min_score
+        return Segments(self.endpoints[keep], self.scores[keep], self.image_size)
+
+    def scaled_to(self, image_size: tuple[int, int]) -> Segments:
+        """The same segments in the pixels of the image resized to (height, width)."""
+        sy, sx = image_size[0] / self.image_size[0], image_size[1] / self.image_size[1]
+        factor = np.array([sx, sy, sx, sy], np.float32)
+        return Segments(self.endpoints * factor, self.scores, image_size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Polylines of one image.
+
+    points: one (K, 2) float32 array of x, y per line, K >= 2, in order along the line.
+    scores: (M,) float32 in [0, 1].
+    image_size: (height, width) in pixels.
+    """
+
+    points: tuple[NDArray[np.float32], ...]
+    scores: NDArray[np.float32]
+    image_size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        if self.scores.shape != (len(self.points),):
+            raise ValueError(f"{len(self.points)} lines with scores of shape {self.scores.shape}")
+        if any(p.ndim != 2 or p.shape[1] != 2 or len(p) < 2 for p in self.points):
+            raise ValueError("each line must be (K, 2) with K >= 2")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @classmethod
+    def empty(cls, image_size: tuple[int, int]) -> Lines:
+        """No lines in an image of (height, width)."""
+        return cls((), np.zeros(0, np.float32), image_size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Everything found in one image, in the pixels of that image."""
+
+    segments: Segments
+    lines: Lines
+
+    @classmethod
+    def empty(cls, image_size: tuple[int, int]) -> Detections:
+        """Nothing found in an image of (height, width)."""
+        return cls(Segments.empty(image_size), Lines.empty(image_size))

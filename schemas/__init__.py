@@ -1,0 +1,1 @@
+"""What leaves the program: SQL, protobuf, JSON schemas and viewer layouts."""

@@ -68,7 +68,8 @@ def publish(store: Store) -> IndexChange:
         known = _published(store.index_path)
         if known is None:
             return _rebuild(store, flights, damaged)
-        if known == {flight.record.flight_id: flight.result_sha256 for flight in flights}:
+        wanted = {flight.record.flight_id: flight.result_sha256 for flight in flights}
+        if known == wanted and _is_of_this_program(store.index_path):
             return IndexChange(len(flights), 0, 0, tuple(damaged))
         try:
             return _replace_index(store, flights, damaged, known)
@@ -112,6 +113,13 @@ def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
             [number, datetime.now(UTC).replace(tzinfo=None), version("lsnet-pipe")],
         )
         connection.commit()
+
+
+def _is_of_this_program(path: Path) -> bool:
+    """Whether tables and views of a readable index are those of this version of the program."""
+    with duckdb.connect(path, read_only=True) as connection:
+        latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
+        return connection.execute(latest).fetchone() == (len(MIGRATIONS), version("lsnet-pipe"))
 
 
 def _version(connection: duckdb.DuckDBPyConnection) -> int:
@@ -183,6 +191,7 @@ def _replace_index(
             create_tables(connection)
             _replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
             connection.execute(read_schema("views.sql"))
+            connection.execute("UPDATE schema_version SET app_version = ?", [version("lsnet-pipe")])
             connection.execute("CHECKPOINT")
         fsync_path(following)
         # Not ours, but a log left by someone's own DuckDB would be replayed into the new file.

@@ -8,7 +8,7 @@
 CREATE TABLE schema_version (
     version     INTEGER PRIMARY KEY,
     applied_at  TIMESTAMP NOT NULL,
-    app_version VARCHAR NOT NULL
+    app_version VARCHAR NOT NULL         -- that last wrote the index
 );
 
 CREATE TABLE models (

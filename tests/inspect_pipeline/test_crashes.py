@@ -63,7 +63,7 @@ def test_no_space_at_any_fsync(store: Store, monkeypatch: pytest.MonkeyPatch, ha
 
 @pytest.mark.parametrize("has_exchange", [True, False])
 def test_killed_at_some_steps(store: Store, tmp_path: Path, has_exchange: bool) -> None:
-    _kill_at_steps(store, tmp_path, 61, has_exchange=has_exchange)
+    _kill_at_steps(store, tmp_path, 151, has_exchange=has_exchange)
 
 
 @pytest.mark.slow

@@ -1,139 +1,129 @@
-"""Image messages to pixels: one table of the kinds that are read, in one place.
+"""Images to pixels: whatever a message holds becomes uint8 RGB.
 
-`parse` takes an image message apart, `decode` makes RGB of it. Which codec an image has is told by its
-first bytes, not by the message's `format`, about which recorders disagree ("jpeg", "image/jpeg",
-"rgb8; jpeg compressed bgr8").
+Which codec a compressed image has is told by its first bytes, not by the message's `format`, about which
+recorders disagree ("jpeg", "image/jpeg", "rgb8; jpeg compressed bgr8"). How raw pixels are made RGB is one
+table, `_RAW`.
 """
 
 from __future__ import annotations
 
-import base64
-import binascii
-import json
-import re
 import struct
-from dataclasses import dataclass
-from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from google.protobuf.message import DecodeError
+
+from inspect_pipeline.image_messages import ImageError, ImageMessage, is_image, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
+    from numpy.typing import DTypeLike, NDArray
 
-    from numpy.typing import NDArray
+    from inspect_pipeline.image_messages import RawLayout
 
+__all__ = ["ImageError", "ImageMessage", "decode", "is_colour", "is_image", "parse"]
 
-class ImageError(ValueError):
-    """Raised when one image cannot be read; the message is a short phrase."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageMessage:
-    """An image message taken apart: the header stamp, the frame id and the encoded image."""
-
-    stamp_ns: int
-    frame_id: str
-    format: str
-    data: bytes | memoryview
+_MAX_PIXELS = 256 << 20  # a header that claims more is damage or an attack
+_VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")
+_JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
+_JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
-def is_image(schema_name: str, message_encoding: str) -> bool:
-    """Whether messages of this schema in this encoding are images that can be read."""
-    return (schema_name, message_encoding) in _PARSERS
+class _Raw(NamedTuple):
+    """How a pixel encoding lies in memory, and the OpenCV conversion to RGB."""
+
+    dtype: DTypeLike
+    n_channels: int
+    to_rgb: int | None
 
 
-def parse(schema_name: str, message_encoding: str, payload: memoryview) -> ImageMessage:
-    """Take an image message apart. Raises ImageError when it is malformed, KeyError when it is no image."""
-    parser = _PARSERS[schema_name, message_encoding]
-    try:
-        return parser(payload)
-    except (ValueError, LookupError, TypeError, struct.error, RecursionError, DecodeError) as error:
-        raise ImageError(f"the message is not a {schema_name}") from error
+_RAW = {
+    "rgb8": _Raw(np.uint8, 3, None),
+    "bgr8": _Raw(np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "8UC3": _Raw(np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "rgba8": _Raw(np.uint8, 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": _Raw(np.uint8, 4, cv2.COLOR_BGRA2RGB),
+    "8UC4": _Raw(np.uint8, 4, cv2.COLOR_BGRA2RGB),
+    "mono8": _Raw(np.uint8, 1, cv2.COLOR_GRAY2RGB),
+    "8UC1": _Raw(np.uint8, 1, cv2.COLOR_GRAY2RGB),
+    "mono16": _Raw(np.uint16, 1, cv2.COLOR_GRAY2RGB),
+    "16UC1": _Raw(np.uint16, 1, cv2.COLOR_GRAY2RGB),
+    "yuv422": _Raw(np.uint8, 2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": _Raw(np.uint8, 2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": _Raw(np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": _Raw(np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
+    "nv12": _Raw(np.uint8, 1, cv2.COLOR_YUV2RGB_NV12),
+} | {
+    f"bayer_{pattern}{bits}": _Raw(dtype, 1, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
+    for pattern in ("rggb", "bggr", "gbrg", "grbg")
+    for bits, dtype in ((8, np.uint8), (16, np.uint16))
+}
 
 
-def is_depth(message: ImageMessage, topic: str) -> bool:
-    """Whether the images of a topic hold distances instead of colours, by one of them."""
-    return "compresseddepth" in message.format.lower() or topic.endswith("/compressedDepth")
+def is_colour(message: ImageMessage, topic: str) -> bool:
+    """Whether the images of a topic are pictures that can be decoded, not distances, by one of them."""
+    if message.raw is not None:
+        is_distance = message.encoding in {"16UC1", "mono16"} and "depth" in topic.lower()
+        return message.encoding in _RAW and not is_distance
+    return "compresseddepth" not in message.encoding.lower() and not topic.endswith("/compressedDepth")
 
 
 def decode(message: ImageMessage) -> NDArray[np.uint8]:
     """The pixels as stored, EXIF orientation ignored: uint8 (height, width, 3) RGB. Raises ImageError."""
-    data = np.frombuffer(message.data, np.uint8)
-    if not len(data):
+    if not message.data:
         raise ImageError("the image is empty")
     try:
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
+        if message.raw is None:
+            return _decode_compressed(bytes(message.data[:16]), np.frombuffer(message.data, np.uint8))
+        return _decode_raw(message.encoding, message.raw, np.frombuffer(message.data, np.uint8))
     except cv2.error as error:
         raise ImageError("the image cannot be decoded") from error
+
+
+def _decode_compressed(start: bytes, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    if start.startswith(_VIDEO_START_CODES):
+        raise ImageError("the image is a piece of video")
+    if _claimed_pixels(start, data) > _MAX_PIXELS:
+        raise ImageError(f"the image claims more than {_MAX_PIXELS >> 20} megapixels")
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise ImageError("the image cannot be decoded")
     return image.astype(np.uint8, copy=False)
 
 
-def _parse_protobuf(payload: memoryview) -> ImageMessage:
-    message = CompressedImage.FromString(bytes(payload))
-    return ImageMessage(message.timestamp.ToNanoseconds(), message.frame_id, message.format, message.data)
+def _claimed_pixels(start: bytes, data: NDArray[np.uint8]) -> int:
+    """Width times height by the header of a JPEG or PNG, before memory is taken for it; 0 when unknown."""
+    if start.startswith(_PNG) and len(data) >= 24:
+        width, height = struct.unpack(">II", data[16:24].tobytes())
+        return int(width * height)
+    at = 2
+    while start.startswith(_JPEG) and at + 9 <= len(data) and data[at] == 0xFF:
+        length, _, height, width = struct.unpack(">HBHH", data[at + 2 : at + 9].tobytes())
+        if data[at + 1] in _JPEG_FRAME_MARKERS:
+            return int(width * height)
+        at += 2 + length
+    return 0
 
 
-def _parse_json(payload: memoryview) -> ImageMessage:
-    fields: dict[str, Any] = json.loads(bytes(payload))
-    try:
-        data = base64.b64decode(fields["data"], validate=True)
-    except binascii.Error as error:
-        raise ImageError("the image is not valid base64") from error
-    stamp_ns = _json_time_ns(fields.get("timestamp", {}))
-    return ImageMessage(stamp_ns, str(fields.get("frame_id", "")), str(fields.get("format", "")), data)
+def _decode_raw(encoding: str, layout: RawLayout, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    raw = _RAW.get(encoding)
+    if raw is None:
+        raise ImageError(f"the pixel encoding {encoding!r} is not known")
+    n_rows = layout.height * 3 // 2 if encoding == "nv12" else layout.height
+    rows = _rows(layout, data, n_rows, layout.width * raw.n_channels * np.dtype(raw.dtype).itemsize)
+    pixels = rows.view(np.dtype(raw.dtype).newbyteorder(">" if layout.is_big_endian else "<"))
+    if raw.dtype is np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    if raw.n_channels > 1:
+        pixels = pixels.reshape(n_rows, layout.width, raw.n_channels)
+    image = pixels if raw.to_rgb is None else cv2.cvtColor(pixels, raw.to_rgb)
+    return np.ascontiguousarray(image, np.uint8)
 
 
-def _json_time_ns(time: Any) -> int:
-    """A time in JSON: {"sec", "nsec"} by Foxglove's JSON Schema, or an RFC 3339 string as in protobuf."""
-    if isinstance(time, str):
-        match = re.fullmatch(r"(.+?)(?:\.(\d{1,9}))?(Z|[+-]\d\d:\d\d)", time)
-        if match is None:
-            raise ValueError(time)
-        whole = datetime.fromisoformat(match[1] + match[3])
-        return int(whole.timestamp()) * 1_000_000_000 + int((match[2] or "").ljust(9, "0"))
-    return int(time.get("sec", 0)) * 1_000_000_000 + int(time.get("nsec", 0))
-
-
-class _Cdr:
-    """Reads the fields of a CDR message (XCDR1) in order; alignment counts from behind the 4-byte head."""
-
-    def __init__(self, payload: memoryview) -> None:
-        self._payload = payload
-        self._order = "<" if payload[1] & 1 else ">"
-        self._at = 4
-
-    def uint32(self) -> int:
-        at = self._at + -self._at % 4
-        self._at = at + 4
-        value: int = struct.unpack_from(self._order + "I", self._payload, at)[0]
-        return value
-
-    def blob(self) -> memoryview:
-        length = self.uint32()
-        start, self._at = self._at, self._at + length
-        if self._at > len(self._payload):
-            raise ValueError("a field overruns the message")
-        return self._payload[start : self._at]
-
-    def string(self) -> str:
-        return bytes(self.blob()).rstrip(b"\0").decode()
-
-
-def _parse_ros2(payload: memoryview) -> ImageMessage:
-    cdr = _Cdr(payload)
-    stamp_ns = cdr.uint32() * 1_000_000_000 + cdr.uint32()
-    return ImageMessage(stamp_ns, frame_id=cdr.string(), format=cdr.string(), data=cdr.blob())
-
-
-_PARSERS: dict[tuple[str, str], Callable[[memoryview], ImageMessage]] = {
-    ("foxglove.CompressedImage", "protobuf"): _parse_protobuf,
-    ("foxglove.CompressedImage", "json"): _parse_json,
-    ("sensor_msgs/msg/CompressedImage", "cdr"): _parse_ros2,
-}
+def _rows(layout: RawLayout, data: NDArray[np.uint8], n_rows: int, row_bytes: int) -> NDArray[np.uint8]:
+    """The rows of a raw image without their padding: (n_rows, row_bytes). The last row may lack its own."""
+    step_bytes = layout.step_bytes or row_bytes
+    n_bytes = (n_rows - 1) * step_bytes + row_bytes
+    if not 0 < row_bytes <= step_bytes or n_rows < 1 or n_bytes > len(data):
+        raise ImageError("the image is smaller than its size says")
+    rows = np.lib.stride_tricks.as_strided(data[:n_bytes], (n_rows, row_bytes), (step_bytes, 1))
+    return np.ascontiguousarray(rows)

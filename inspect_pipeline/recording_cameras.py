@@ -28,7 +28,7 @@ def find_cameras(
     for channel in channels:
         if not channel.message_count and channel.message_count is not None:
             continue
-        if not _is_image(channel) or _is_depth(file, layout, channel):
+        if not _is_image(channel) or not _is_colour(file, layout, channel):
             continue
         name = _camera_name(channel.topic)
         known = by_camera.get(name)
@@ -73,16 +73,16 @@ def _camera_name(topic: str) -> str:
     return "/".join(parts)
 
 
-def _is_depth(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> bool:
-    """Whether the first image of a channel holds distances; one that cannot be read is taken for colour."""
+def _is_colour(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> bool:
+    """Whether the first image of a channel is a picture; one that cannot be read is taken for one."""
     payload = _first_payload(file, layout, channel.channel_id)
     if payload is None:
-        return False
+        return True
     try:
         message = images.parse(channel.schema_name, channel.message_encoding, payload)
     except images.ImageError:
-        return False
-    return images.is_depth(message, channel.topic)
+        return True
+    return images.is_colour(message, channel.topic)
 
 
 def _first_payload(file: RecordingFile, layout: Layout, channel_id: int) -> memoryview | None:

@@ -8,17 +8,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
+import flatbuffers
 import foxglove
 import numpy as np
 from foxglove import messages as sdk
 from foxglove.channels import CompressedImageChannel
 from foxglove.mcap import MCAPWriteOptions
+from foxglove_schemas_flatbuffer import CompressedImage as FlatCompressedImage
+from foxglove_schemas_flatbuffer import RawImage as FlatRawImage
+from foxglove_schemas_flatbuffer.Time import CreateTime
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -31,7 +36,14 @@ START_NS = 1_700_000_000_000_000_000
 STEP_NS = 500_000_000
 STAMP_LAG_NS = 7  # how much earlier an image's header stamp is than its log time
 CAMERA = "/camera/image/compressed"
-ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+ROS2, FOXGLOVE_ROS2 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS2_HUMBLE)
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+for _name, _definition in {
+    "CompressedImage": "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n",
+    "RawImage": "builtin_interfaces/Time timestamp\nstring frame_id\nuint32 width\nuint32 height\n"
+    "string encoding\nuint32 step\nuint8[] data\n",
+}.items():
+    FOXGLOVE_ROS2.register(get_types_from_msg(_definition, f"foxglove_msgs/msg/{_name}"))
 UNINDEXED = IndexType.NONE
 NO_CHUNK_INDEX = IndexType.ALL & ~IndexType.CHUNK
 NO_MESSAGE_INDEX = IndexType.ALL & ~IndexType.MESSAGE
@@ -43,7 +55,7 @@ class Shot(NamedTuple):
     number: int
     topic: str = CAMERA
     log_time_ns: int = START_NS
-    data: bytes | None = None  # instead of the picture
+    data: bytes | RawPixels | None = None  # instead of the picture
 
 
 @dataclass(frozen=True)
@@ -54,7 +66,7 @@ class Encoding:
     schema_encoding: str
     schema_data: bytes
     message_encoding: str
-    encode: Callable[[int, str, bytes], bytes]
+    encode: Callable[[int, str, bytes | RawPixels], bytes]
 
 
 def shots(count: int, topic: str = CAMERA, *, start_ns: int = START_NS, step_ns: int = STEP_NS) -> list[Shot]:
@@ -83,45 +95,115 @@ def number_of(image: NDArray[np.uint8]) -> int:
     return number
 
 
-def _foxglove_protobuf(stamp_ns: int, frame_id: str, data: bytes) -> bytes:
-    message = CompressedImage(frame_id=frame_id, data=data, format="png")
+class RawPixels(NamedTuple):
+    """A raw image to write."""
+
+    encoding: str
+    height: int
+    width: int
+    step_bytes: int
+    data: bytes
+    is_big_endian: bool = False
+
+
+def _protobuf(stamp_ns: int, frame_id: str, image: bytes | RawPixels) -> bytes:
+    if isinstance(image, RawPixels):
+        message = RawImage(
+            frame_id=frame_id,
+            width=image.width,
+            height=image.height,
+            encoding=image.encoding,
+            step=image.step_bytes,
+            data=image.data,
+        )
+    else:
+        message = CompressedImage(frame_id=frame_id, data=image, format="png")
     message.timestamp.FromNanoseconds(stamp_ns)
     return message.SerializeToString()
 
 
-def _foxglove_json(stamp_ns: int, frame_id: str, data: bytes) -> bytes:
+def _json(stamp_ns: int, frame_id: str, image: bytes | RawPixels) -> bytes:
     stamp = {"sec": stamp_ns // 10**9, "nsec": stamp_ns % 10**9}
-    fields = {
-        "timestamp": stamp,
-        "frame_id": frame_id,
-        "data": base64.b64encode(data).decode(),
-        "format": "png",
-    }
+    fields = {"timestamp": stamp, "frame_id": frame_id}
+    if isinstance(image, RawPixels):
+        fields |= {"width": image.width, "height": image.height, "encoding": image.encoding}
+        fields |= {"step": image.step_bytes, "data": base64.b64encode(image.data).decode()}
+    else:
+        fields |= {"data": base64.b64encode(image).decode(), "format": "png"}
     return json.dumps(fields).encode()
 
 
-def ros2_compressed_image(stamp_ns: int, frame_id: str, data: bytes) -> Any:
-    """A sensor_msgs/msg/CompressedImage of rosbags."""
+def _flatbuffer(stamp_ns: int, frame_id: str, image: bytes | RawPixels) -> bytes:
+    builder = flatbuffers.Builder(0)
+    is_raw = isinstance(image, RawPixels)
+    module = FlatRawImage if is_raw else FlatCompressedImage
+    frame_at = builder.CreateString(frame_id)
+    data_at = builder.CreateByteVector(image.data if is_raw else image)
+    name_at = builder.CreateString(image.encoding if is_raw else "png")
+    module.Start(builder)
+    module.AddTimestamp(builder, CreateTime(builder, stamp_ns // 10**9, stamp_ns % 10**9))
+    module.AddFrameId(builder, frame_at)
+    module.AddData(builder, data_at)
+    if is_raw:
+        module.AddEncoding(builder, name_at)
+        module.AddWidth(builder, image.width)
+        module.AddHeight(builder, image.height)
+        module.AddStep(builder, image.step_bytes)
+    else:
+        module.AddFormat(builder, name_at)
+    builder.Finish(module.End(builder))
+    return bytes(builder.Output())
+
+
+def _ros_message(store: Any, header: Any, image: bytes | RawPixels) -> tuple[Any, str]:
+    if isinstance(image, RawPixels):
+        data = np.frombuffer(image.data, np.uint8)
+        fields = (image.height, image.width, image.encoding, int(image.is_big_endian), image.step_bytes, data)
+        return store.types["sensor_msgs/msg/Image"](header, *fields), "sensor_msgs/msg/Image"
+    kind = "sensor_msgs/msg/CompressedImage"
+    return store.types[kind](header, "rgb8; jpeg compressed bgr8", np.frombuffer(image, np.uint8)), kind
+
+
+def ros2_cdr(stamp_ns: int, frame_id: str, image: bytes | RawPixels, *, little_endian: bool = True) -> bytes:
+    """A sensor_msgs image as rosbags serialises it."""
     stamp = ROS2.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
-    header = ROS2.types["std_msgs/msg/Header"](stamp, frame_id)
-    return ROS2.types["sensor_msgs/msg/CompressedImage"](header, "jpeg", np.frombuffer(data, np.uint8))
+    message, kind = _ros_message(ROS2, ROS2.types["std_msgs/msg/Header"](stamp, frame_id), image)
+    return bytes(ROS2.serialize_cdr(message, kind, little_endian=little_endian))
 
 
-def _ros2(stamp_ns: int, frame_id: str, data: bytes) -> bytes:
-    message = ros2_compressed_image(stamp_ns, frame_id, data)
-    return bytes(ROS2.serialize_cdr(message, "sensor_msgs/msg/CompressedImage"))
+def _ros1(stamp_ns: int, frame_id: str, image: bytes | RawPixels) -> bytes:
+    stamp = ROS1.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+    message, kind = _ros_message(ROS1, ROS1.types["std_msgs/msg/Header"](5, stamp, frame_id), image)
+    return bytes(ROS1.serialize_ros1(message, kind))
 
 
+def _foxglove_ros2(stamp_ns: int, frame_id: str, image: bytes | RawPixels) -> bytes:
+    stamp = FOXGLOVE_ROS2.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+    if isinstance(image, RawPixels):
+        kind, data = "foxglove_msgs/msg/RawImage", np.frombuffer(image.data, np.uint8)
+        fields = (image.width, image.height, image.encoding, image.step_bytes, data)
+    else:
+        kind, fields = "foxglove_msgs/msg/CompressedImage", (np.frombuffer(image, np.uint8), "png")
+    message = FOXGLOVE_ROS2.types[kind](stamp, frame_id, *fields)
+    return bytes(FOXGLOVE_ROS2.serialize_cdr(message, kind))
+
+
+_PROTOBUF_SCHEMA = build_file_descriptor_set(CompressedImage).SerializeToString()
 ENCODINGS = {
-    "protobuf": Encoding(
-        "foxglove.CompressedImage",
-        "protobuf",
-        build_file_descriptor_set(CompressedImage).SerializeToString(),
-        "protobuf",
-        _foxglove_protobuf,
-    ),
-    "json": Encoding("foxglove.CompressedImage", "jsonschema", b"{}", "json", _foxglove_json),
-    "ros2": Encoding("sensor_msgs/msg/CompressedImage", "ros2msg", b"", "cdr", _ros2),
+    "protobuf": Encoding("foxglove.CompressedImage", "protobuf", _PROTOBUF_SCHEMA, "protobuf", _protobuf),
+    "json": Encoding("foxglove.CompressedImage", "jsonschema", b"{}", "json", _json),
+    "flatbuffer": Encoding("foxglove.CompressedImage", "flatbuffer", b"", "flatbuffer", _flatbuffer),
+    "ros2": Encoding("sensor_msgs/msg/CompressedImage", "ros2msg", b"", "cdr", ros2_cdr),
+    "ros1": Encoding("sensor_msgs/CompressedImage", "ros1msg", b"", "ros1", _ros1),
+    "foxglove ros2": Encoding("foxglove_msgs/msg/CompressedImage", "ros2msg", b"", "cdr", _foxglove_ros2),
+}
+RAW_ENCODINGS = {
+    "protobuf": Encoding("foxglove.RawImage", "protobuf", b"", "protobuf", _protobuf),
+    "json": Encoding("foxglove.RawImage", "jsonschema", b"{}", "json", _json),
+    "flatbuffer": Encoding("foxglove.RawImage", "flatbuffer", b"", "flatbuffer", _flatbuffer),
+    "ros2": Encoding("sensor_msgs/msg/Image", "ros2msg", b"", "cdr", ros2_cdr),
+    "ros1": Encoding("sensor_msgs/Image", "ros1msg", b"", "ros1", _ros1),
+    "foxglove ros2": Encoding("foxglove_msgs/msg/RawImage", "ros2msg", b"", "cdr", _foxglove_ros2),
 }
 
 
@@ -129,7 +211,7 @@ def make_recording(
     path: Path,
     to_write: Sequence[Shot],
     *,
-    encoding: str = "protobuf",
+    encoding: str | Encoding = "protobuf",
     n_gps_per_shot: int = 2,
     attachments: Iterable[bytes] = (),
     metadata: dict[str, dict[str, str]] | None = None,
@@ -140,7 +222,7 @@ def make_recording(
     Each shot is followed by JSON messages on /gps, so that there is something to pass over.
     """
     options = {"chunk_size": 2000, "compression": CompressionType.ZSTD, **options}
-    how = ENCODINGS[encoding]
+    how = ENCODINGS[encoding] if isinstance(encoding, str) else encoding
     with path.open("wb") as file:
         writer = Writer(file, **options)
         writer.start(profile="test")
@@ -192,7 +274,7 @@ def make_recording_with_rosbags(folder: Path, to_write: Iterable[Shot]) -> Path:
             if shot.topic not in connections:
                 connections[shot.topic] = bag.add_connection(shot.topic, message_type, typestore=ROS2)
             data = encoded_picture(shot.number) if shot.data is None else shot.data
-            message = ros2_compressed_image(shot.log_time_ns - STAMP_LAG_NS, "cam", data)
-            bag.write(connections[shot.topic], shot.log_time_ns, ROS2.serialize_cdr(message, message_type))
+            payload = ros2_cdr(shot.log_time_ns - STAMP_LAG_NS, "cam", data)
+            bag.write(connections[shot.topic], shot.log_time_ns, payload)
     (path,) = folder.glob("*.mcap")
     return path

@@ -6,9 +6,10 @@ import cv2
 import factories
 import numpy as np
 import pytest
-from factories import ENCODINGS, encoded_picture, picture
+from factories import ENCODINGS, RAW_ENCODINGS, RawPixels, encoded_picture, make_recording, number_of, picture
 
-from inspect_pipeline.images import ImageError, ImageMessage, decode, is_image, parse
+from inspect_pipeline.images import ImageError, ImageMessage, decode, is_colour, is_image, parse
+from inspect_pipeline.recording import iter_frames, open_recording
 
 STAMP_NS = 1_700_000_000_123_456_789
 
@@ -37,14 +38,12 @@ def test_every_truncation_of_a_message_is_an_image_error(name: str) -> None:
             decode(parsed)
         except ImageError:
             continue
-        assert name == "protobuf"  # whose fields may be absent or come in any order
+        assert name in {"protobuf", "flatbuffer"}  # whose fields may be absent or come in any order
         assert length >= len(encoded_picture(7))
 
 
 def test_big_endian_cdr() -> None:
-    how = factories.ROS2
-    ros_message = factories.ros2_compressed_image(STAMP_NS, "cam", encoded_picture(7))
-    payload = bytes(how.serialize_cdr(ros_message, "sensor_msgs/msg/CompressedImage", little_endian=False))
+    payload = factories.ros2_cdr(STAMP_NS, "cam", encoded_picture(7), little_endian=False)
     parsed = parse("sensor_msgs/msg/CompressedImage", "cdr", memoryview(payload))
     assert (parsed.stamp_ns, parsed.frame_id, bytes(parsed.data)) == (STAMP_NS, "cam", encoded_picture(7))
 
@@ -88,3 +87,121 @@ def test_exif_orientation_is_ignored() -> None:
 def test_what_cannot_be_decoded_is_an_image_error(data: bytes) -> None:
     with pytest.raises(ImageError, match="the image"):
         decode(message(data))
+
+
+def raw(encoding: str, pixels: np.ndarray, *, padding: int = 0, is_big_endian: bool = False) -> RawPixels:
+    """Rows of pixels as a raw image with so many bytes of padding a row."""
+    dtype = pixels.dtype.newbyteorder(">" if is_big_endian else "<")
+    rows = pixels.astype(dtype).reshape(len(pixels), -1).view(np.uint8)
+    data = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
+    height = len(pixels) * 2 // 3 if encoding == "nv12" else len(pixels)
+    return RawPixels(encoding, height, pixels.shape[1], data.shape[1], data.tobytes(), is_big_endian)
+
+
+def decode_raw(image: RawPixels) -> np.ndarray:
+    payload = factories.ros2_cdr(0, "", image)
+    return decode(parse("sensor_msgs/msg/Image", "cdr", memoryview(payload)))
+
+
+@pytest.mark.parametrize("name", RAW_ENCODINGS)
+def test_raw_recordings_are_read(name: str, tmp_path) -> None:
+    shots = [shot._replace(data=raw("rgb8", picture(shot.number), padding=5)) for shot in factories.shots(4)]
+    path = make_recording(tmp_path / "a.mcap", shots, encoding=RAW_ENCODINGS[name])
+    frames = list(iter_frames(open_recording(path)))
+    assert [(number_of(f.image), f.frame_id, f.stamp_ns - f.log_time_ns) for f in frames] == [
+        (i, "cam", -factories.STAMP_LAG_NS) for i in range(4)
+    ]
+
+
+@pytest.mark.parametrize("padding", [0, 3])
+@pytest.mark.parametrize("is_big_endian", [False, True])
+def test_pixel_encodings_without_loss(padding: int, is_big_endian: bool) -> None:
+    rgb = picture(77)
+    alpha = np.full((*rgb.shape[:2], 1), 9, np.uint8)
+    grey = rgb[..., 2]
+    cases = {
+        "rgb8": (rgb, rgb),
+        "bgr8": (rgb[..., ::-1], rgb),
+        "8UC3": (rgb[..., ::-1], rgb),
+        "rgba8": (np.concatenate([rgb, alpha], -1), rgb),
+        "bgra8": (np.concatenate([rgb[..., ::-1], alpha], -1), rgb),
+        "mono8": (grey, np.dstack([grey] * 3)),
+        "8UC1": (grey, np.dstack([grey] * 3)),
+        "mono16": (grey.astype(np.uint16) * 256 + 200, np.dstack([grey] * 3)),
+        "16UC1": (grey.astype(np.uint16) * 256 + 200, np.dstack([grey] * 3)),
+    }
+    for encoding, (pixels, expected) in cases.items():
+        image = raw(encoding, pixels, padding=padding * pixels.itemsize, is_big_endian=is_big_endian)
+        np.testing.assert_array_equal(decode_raw(image), expected, err_msg=encoding)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_bayer_patterns_of_one_colour(pattern: str, bits: int) -> None:
+    colour = {"r": 200, "g": 120, "b": 40}
+    block = np.array([colour[c] for c in pattern]).reshape(2, 2)
+    pixels = np.tile(block, (8, 8))
+    pixels = (pixels * 257).astype(np.uint16) if bits == 16 else pixels.astype(np.uint8)
+    decoded = decode_raw(raw(f"bayer_{pattern}{bits}", pixels))
+    assert np.abs(decoded[2:-2, 2:-2].astype(int) - [200, 120, 40]).max() <= 1
+
+
+@pytest.mark.parametrize("encoding", ["yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12"])
+def test_yuv_of_one_colour(encoding: str) -> None:
+    y, u, v = 120, 90, 180  # by BT.601, limited range:
+    luma = 1.164 * (y - 16)
+    rgb = [luma + 1.596 * (v - 128), luma - 0.813 * (v - 128) - 0.391 * (u - 128), luma + 2.018 * (u - 128)]
+    if encoding == "nv12":
+        chroma = np.tile(np.array([u, v], np.uint8), (4, 8))
+        pixels = np.concatenate([np.full((8, 16), y, np.uint8), chroma])
+    else:
+        pair = [u, y, v, y] if encoding in {"yuv422", "uyvy"} else [y, u, y, v]
+        pixels = np.tile(np.array(pair, np.uint8), (8, 8)).reshape(8, 16, 2)
+    decoded = decode_raw(raw(encoding, pixels, padding=4))
+    assert decoded.shape == (8, 16, 3)
+    assert np.abs(decoded.astype(float) - rgb).max() <= 3
+
+
+def test_a_raw_image_smaller_than_it_says_is_an_image_error() -> None:
+    image = raw("rgb8", picture(1))
+    for wrong in (
+        image._replace(height=1000),
+        image._replace(step_bytes=3),
+        image._replace(width=0),
+        image._replace(data=image.data[:-1]),
+        image._replace(height=2**32 - 1, width=2**32 - 1),
+    ):
+        with pytest.raises(ImageError):
+            decode_raw(wrong)
+    np.testing.assert_array_equal(decode_raw(image._replace(step_bytes=0)), picture(1))
+
+
+def test_distances_are_no_colours() -> None:
+    def ros_image(encoding: str) -> ImageMessage:
+        payload = factories.ros2_cdr(0, "", RawPixels(encoding, 1, 1, 4, b"1234"))
+        return parse("sensor_msgs/msg/Image", "cdr", memoryview(payload))
+
+    assert is_colour(ros_image("16UC1"), "/thermal/image_raw")
+    assert not is_colour(ros_image("16UC1"), "/camera/depth/image_rect")
+    assert not is_colour(ros_image("32FC1"), "/camera/image")
+    assert not is_colour(ros_image("invented"), "/camera/image")
+    assert not is_colour(message(b"", "16UC1; compressedDepth png"), "/camera/image")
+    with pytest.raises(ImageError, match="'invented' is not known"):
+        decode(ros_image("invented"))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_an_image_that_claims_absurd_size_takes_no_memory(suffix: str) -> None:
+    data = bytearray(cv2.imencode(suffix, picture(1))[1].tobytes())
+    if suffix == ".png":
+        data[16:24] = b"\0\0\x7f\xff" * 2
+    else:
+        at = data.index(b"\xff\xc0") + 5
+        data[at : at + 4] = b"\x7f\xff" * 2
+    with pytest.raises(ImageError, match="megapixels"):
+        decode(message(bytes(data)))
+
+
+def test_video_is_named() -> None:
+    with pytest.raises(ImageError, match="video"):
+        decode(message(b"\0\0\0\1\x67" + b"x" * 50, "h264"))

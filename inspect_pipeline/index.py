@@ -32,7 +32,7 @@ _FLIGHTS_PER_INSERT = 256
 # Files of this storage version are read by DuckDB 1.5 and 2 alike.
 _CONFIG: dict[str, str | bool | int | float | list[str]] = {
     "storage_compatibility_version": "v1.5.0",
-    "memory_limit": "160MB",
+    "memory_limit": "128MB",
     "threads": "2",
 }
 _SET_CHANNEL_TIMES = """

@@ -66,7 +66,7 @@ def run_query(
         "cpu_s": int(2 * limits.timeout_s) + 2,
         "max_rows": limits.max_rows,
         "version": len(MIGRATIONS),
-        "parquet_path": None,
+        "copy_path": "/dev/stdout",
     }
     if output is not None:
         with _appearing(output) as path:
@@ -96,8 +96,9 @@ def _appearing(output: Path) -> Iterator[Path]:
 
 
 def _write_file(job: dict[str, Any], timeout_s: float, path: Path) -> None:
+    copy_path = {"copy_path": str(path)} if job["format"] == "parquet" else {}
     with path.open("wb") as file:
-        _run_child({**job, "parquet_path": str(path)}, timeout_s, file)
+        _run_child({**job, **copy_path}, timeout_s, file)
 
 
 def _run_child(job: dict[str, Any], timeout_s: float, sink: IO[bytes]) -> None:

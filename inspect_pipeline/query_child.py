@@ -24,6 +24,7 @@ _BATCH_ROWS = 2048
 _MAX_CELL = 80
 _OVERHEAD_BYTES = 3 << 29  # address space of Python, DuckDB and their threads
 _MAX_PARQUET_BYTES = 64 << 30
+_COPY_OPTIONS = {"csv": "FORMAT csv, HEADER", "parquet": "FORMAT parquet, COMPRESSION zstd"}
 _EXPLAIN = re.compile(r"\s*EXPLAIN\b(\s+ANALYZE\b)?(.*)", re.IGNORECASE | re.DOTALL)
 _NUMBER = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?|FLOAT|DOUBLE|DECIMAL.*")
 _ONE_STATEMENT = "one SELECT, WITH, EXPLAIN, DESCRIBE, SHOW or SUMMARIZE statement is allowed"
@@ -97,8 +98,8 @@ def open_index(job: dict[str, Any]) -> duckdb.DuckDBPyConnection:
     if row and row[0] > job["version"]:
         fail("version", f"index version {row[0]}, this program knows {job['version']}")
     connection.execute("SET TimeZone = 'UTC'")
-    if job["format"] == "parquet":
-        connection.execute(f"SET allowed_paths = [{quote(job['parquet_path'])}]")
+    if job["format"] in _COPY_OPTIONS:
+        connection.execute(f"SET allowed_paths = [{quote(job['copy_path'])}]")
     if not job["allow_files"]:
         connection.execute("SET enable_external_access = false")
     connection.execute("SET lock_configuration = true")
@@ -119,72 +120,86 @@ def run_statement(connection: duckdb.DuckDBPyConnection, job: dict[str, Any]) ->
 
     The table function query() takes the statement: it is DuckDB's own guarantee of a single SELECT.
     """
+    source = f"query({quote(job['sql'])})"
     explain = _EXPLAIN.fullmatch(job["sql"])
-    if job["format"] == "parquet":
-        target = f"{quote(job['parquet_path'])} (FORMAT parquet, COMPRESSION zstd, USE_TMP_FILE false)"
-        connection.execute(f"COPY (FROM query({quote(job['sql'])})) TO {target}")
-    elif explain:
+    if explain and job["format"] != "parquet":
         statement = f"EXPLAIN{explain[1] or ''} SELECT * FROM query({quote(explain[2])})"
-        plans = connection.execute(statement).fetchall()
-        to_cell = json.dumps if job["format"] == "json" else str
-        cells = iter([tuple(to_cell(value) for value in row) for row in plans])
-        write_rows(Rows(["explain_key", "explain_value"], ["VARCHAR", "VARCHAR"], cells), job)
-    else:
-        write_rows(select(connection, f"query({quote(job['sql'])})", job["format"]), job)
-
-
-def select(connection: duckdb.DuckDBPyConnection, source: str, form: str) -> Rows:
-    """The rows of `source`, every cell turned into text, JSON or plain, by DuckDB itself."""
-    described = connection.execute(f"SELECT * FROM {source} LIMIT 0").description or []
-    names, types = [column[0] for column in described], [str(column[1]) for column in described]
-    columns = [f"c{number}" for number in range(len(names))]
-    to_cell = json_cell if form == "json" else (lambda column, _: f"CAST({column} AS VARCHAR)")
-    cells = [to_cell(column, kind) for column, kind in zip(columns, types, strict=True)]
-    connection.execute(f"SELECT {', '.join(cells)} FROM {source} AS t({', '.join(columns)})")
-    batches = iter(lambda: connection.fetchmany(_BATCH_ROWS), [])
-    return Rows(names, types, chain.from_iterable(batches))
-
-
-def json_cell(column: str, kind: str) -> str:
-    """The SQL that turns a column into JSON; times are ISO 8601, with a Z where they have a zone."""
-    if kind == "TIMESTAMP WITH TIME ZONE":
-        return f"to_json(replace(CAST(timezone('UTC', {column}) AS VARCHAR), ' ', 'T') || 'Z')"
-    if kind.startswith("TIMESTAMP"):
-        return f"to_json(replace(CAST({column} AS VARCHAR), ' ', 'T'))"
-    return f"to_json({column})"
-
-
-def write_rows(rows: Rows, job: dict[str, Any]) -> None:
-    """Write rows to stdout as csv, json or a table."""
-    if job["format"] == "csv":
-        writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(rows.names)
-        writer.writerows(rows.rows)
+        write_plan(connection.execute(statement).fetchall(), job)
+    elif job["format"] in _COPY_OPTIONS:
+        target = f"{quote(job['copy_path'])} ({_COPY_OPTIONS[job['format']]}, USE_TMP_FILE false)"
+        connection.execute(f"COPY (FROM {source}) TO {target}")
     elif job["format"] == "json":
-        write_json(rows, sys.stdout)
+        write_json(select_objects(connection, source), sys.stdout)
     else:
-        write_table(rows, job["max_rows"], sys.stdout)
+        write_table(select_texts(connection, source), job["max_rows"], sys.stdout)
 
 
-def write_json(rows: Rows, out: TextIO) -> None:
+def select_texts(connection: duckdb.DuckDBPyConnection, source: str) -> Rows:
+    """The rows of `source`, every cell turned into text by DuckDB itself."""
+    names, types = describe(connection, source)
+    columns = [f"c{number}" for number in range(len(names))]
+    cells = ", ".join(f"CAST({column} AS VARCHAR)" for column in columns)
+    connection.execute(f"SELECT {cells} FROM {source} AS t({', '.join(columns)})")
+    return Rows(names, types, iter_rows(connection))
+
+
+def select_objects(connection: duckdb.DuckDBPyConnection, source: str) -> Iterator[str]:
+    """The rows of `source` as JSON objects, in which NaN and Infinity may stand."""
+    names, types = describe(connection, source)
+    columns = [f"c{number}" for number in range(len(names))]
+    cells = (json_value(column, kind) for column, kind in zip(columns, types, strict=True))
+    pairs = ", ".join(f"{quote(name)}, {cell}" for name, cell in zip(names, cells, strict=True))
+    connection.execute(
+        f"SELECT CAST(json_object({pairs}) AS VARCHAR) FROM {source} AS t({', '.join(columns)})"
+    )
+    return (row[0] or "null" for row in iter_rows(connection))
+
+
+def describe(connection: duckdb.DuckDBPyConnection, source: str) -> tuple[list[str], list[str]]:
+    """Names, each once, and SQL types of the columns of `source`."""
+    columns = connection.execute(f"SELECT * FROM {source} LIMIT 0").description or []
+    return [column[0] for column in columns], [str(column[1]) for column in columns]
+
+
+def iter_rows(connection: duckdb.DuckDBPyConnection) -> Iterator[Row]:
+    """The rows of what was just executed, fetched as they are needed."""
+    return chain.from_iterable(iter(lambda: connection.fetchmany(_BATCH_ROWS), []))
+
+
+def json_value(column: str, kind: str) -> str:
+    """The SQL of a value for JSON: times become ISO 8601, with a Z where they have a zone."""
+    if kind == "TIMESTAMP WITH TIME ZONE":
+        return f"replace(CAST(timezone('UTC', {column}) AS VARCHAR), ' ', 'T') || 'Z'"
+    if kind.startswith("TIMESTAMP"):
+        return f"replace(CAST({column} AS VARCHAR), ' ', 'T')"
+    return column
+
+
+def write_plan(plans: list[tuple[str, str]], job: dict[str, Any]) -> None:
+    """Write what EXPLAIN says."""
+    names = ["explain_key", "explain_value"]
+    if job["format"] == "json":
+        objects = [json.dumps(dict(zip(names, plan, strict=True)), ensure_ascii=False) for plan in plans]
+        write_json(iter(objects), sys.stdout)
+    elif job["format"] == "csv":
+        csv.writer(sys.stdout, lineterminator="\n").writerows([names, *plans])
+    else:
+        write_table(Rows(names, ["VARCHAR", "VARCHAR"], iter(plans)), job["max_rows"], sys.stdout)
+
+
+def write_json(objects: Iterator[str], out: TextIO) -> None:
     """Write an array of objects, one a line; NaN and infinities, which JSON lacks, become null."""
-    keys = [json.dumps(name, ensure_ascii=False) for name in rows.names]
-    has_nan = ["FLOAT" in kind or "DOUBLE" in kind for kind in rows.types]
-    out.write("[")
-    separator = "\n"
-    for row in rows.rows:
-        cells = ("null" if cell is None else cell for cell in row)
-        finite = (nan_to_null(c) if nan else c for c, nan in zip(cells, has_nan, strict=True))
-        out.write(separator + "{" + ", ".join(map("{}: {}".format, keys, finite)) + "}")
+    separator = "[\n"
+    for text in objects:
+        has_nan = "NaN" in text or "Infinity" in text
+        out.write(separator + (nan_to_null(text) if has_nan else text))
         separator = ",\n"
-    out.write("\n]\n")
+    out.write("[]\n" if separator == "[\n" else "\n]\n")
 
 
-def nan_to_null(cell: str) -> str:
-    """A JSON text of DuckDB, in which NaN and Infinity may stand, as valid JSON."""
-    if "NaN" not in cell and "Inf" not in cell:
-        return cell
-    return json.dumps(json.loads(cell, parse_constant=lambda _: None), ensure_ascii=False)
+def nan_to_null(text: str) -> str:
+    """A JSON text of DuckDB as valid JSON."""
+    return json.dumps(json.loads(text, parse_constant=lambda _: None), ensure_ascii=False)
 
 
 def write_table(rows: Rows, max_rows: int, out: TextIO) -> None:

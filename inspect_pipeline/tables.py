@@ -138,12 +138,17 @@ class FlightWriter:
             self._flush()
 
     def finish(self) -> FlightTotals:
-        """Write the parquet files, sorted as the frames were added, and return what they hold."""
+        """Write the parquet files, in the order the frames were added, and return what they hold.
+
+        Nothing can be added afterwards, and nothing else is left in the folder.
+        """
         self._flush()
         for table in ROW_TABLES:
             path = str(self._folder / f"{table}.parquet")
             self._execute(_COPY.format(table=table), {"path": path})
-        return FlightTotals(*self._execute(_TOTALS))
+        totals = FlightTotals(*self._execute(_TOTALS))
+        self._connection.close()
+        return totals
 
     def _flush(self) -> None:
         """Move the waiting rows into the tables."""

@@ -95,6 +95,8 @@ def test_csv(ask: Any) -> None:
     rows = list(csv.reader(io.StringIO(text)))
     assert rows[0] == ["x", "y", "z", "points"]
     assert rows[1][:3] == ['a,"b"\nc', "", "1.5"]
+    assert ask("SELECT 1 AS x, 2 AS y WHERE false", "csv") == "x,y\n"
+    assert ask("EXPLAIN SELECT 1", "csv").startswith("explain_key,explain_value\nphysical_plan,")
 
 
 def test_table(ask: Any) -> None:

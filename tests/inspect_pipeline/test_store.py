@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import resource
 import signal
 from pathlib import Path
 
@@ -112,6 +113,30 @@ def test_rows_beyond_one_flush_keep_their_order(tmp_path: Path, monkeypatch: pyt
     assert rows == [(i, j) for i in range(12) if i != 1 for j in range(i)]
     lines = duckdb.sql(f"SELECT frame_idx, len(points) FROM '{tmp_path}/lines.parquet'").fetchall()
     assert lines == [(i, 3) for i in range(2, 12)]
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_flight(store: Store) -> None:
+    """Three million segments, in a process of its own, take under 200 MB and leave no spilled blocks."""
+    flight_id = flights.flight_id_of("long")
+    child = os.fork()
+    if child == 0:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        found = flights.detections(300)
+        with (
+            store.write_flight(flight_id) as staging,
+            flights.FlightWriter(staging.path, flight_id) as writer,
+        ):
+            for i in range(10_000):
+                writer.add_frame(flights.frame(i), found)
+            staging.commit(flights.record("long", writer.finish()))
+        index.publish(store)
+        grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        os._exit(int(grown > 200_000))
+    assert os.waitpid(child, 0)[1] == 0
+    assert index.publish(store) == index.IndexChange(1, 0, 0, ())
+    names = {path.name for path in store.flight_dir(flight_id).iterdir()}
+    assert names == {"result.json", "frames.parquet", "segments.parquet", "lines.parquet"}
 
 
 def test_reprocessing_replaces_the_folder(store: Store) -> None:

@@ -27,7 +27,9 @@ class RecordingError(InspectError):
     """Raised when a recording cannot be read or annotated: `path: problem; remedy`."""
 
     def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
+        message = f"{path}: {problem}; {remedy}"
+        # Names inside a damaged file may hold anything; a message stays one line.
+        super().__init__("".join(c if c.isprintable() else "?" for c in message))
         self.path, self.problem, self.remedy = path, problem, remedy
 
 

@@ -73,16 +73,16 @@ def decode(message: ImageMessage) -> NDArray[np.uint8]:
         raise ImageError("the image is empty")
     try:
         if message.raw is None:
-            return _decode_compressed(bytes(message.data[:16]), np.frombuffer(message.data, np.uint8))
+            return _decode_compressed(np.frombuffer(message.data, np.uint8))
         return _decode_raw(message.encoding, message.raw, np.frombuffer(message.data, np.uint8))
     except cv2.error as error:
         raise ImageError("the image cannot be decoded") from error
 
 
-def _decode_compressed(start: bytes, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if start.startswith(_VIDEO_START_CODES):
+def _decode_compressed(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    if data[:4].tobytes().startswith(_VIDEO_START_CODES):
         raise ImageError("the image is a piece of video")
-    if _claimed_pixels(start, data) > _MAX_PIXELS:
+    if _claimed_pixels(memoryview(data.data)) > _MAX_PIXELS:
         raise ImageError(f"the image claims more than {_MAX_PIXELS >> 20} megapixels")
     image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
@@ -90,16 +90,24 @@ def _decode_compressed(start: bytes, data: NDArray[np.uint8]) -> NDArray[np.uint
     return image.astype(np.uint8, copy=False)
 
 
-def _claimed_pixels(start: bytes, data: NDArray[np.uint8]) -> int:
-    """Width times height by the header of a JPEG or PNG, before memory is taken for it; 0 when unknown."""
-    if start.startswith(_PNG) and len(data) >= 24:
-        width, height = struct.unpack(">II", data[16:24].tobytes())
-        return int(width * height)
+def _claimed_pixels(view: memoryview) -> int:
+    """Width times height by the head of a JPEG or PNG, before memory is taken for it; 0 when unknown.
+
+    Raises ImageError for a PNG whose chunks are not all there: OpenCV would take the memory they claim.
+    """
+    if view[:8] == _PNG:
+        at = 8
+        while at < len(view):
+            length = int.from_bytes(view[at : at + 4])
+            at += 12 + length
+            if at > len(view):
+                raise ImageError("the image is cut off")
+        return int.from_bytes(view[16:20]) * int.from_bytes(view[20:24])
     at = 2
-    while start.startswith(_JPEG) and at + 9 <= len(data) and data[at] == 0xFF:
-        length, _, height, width = struct.unpack(">HBHH", data[at + 2 : at + 9].tobytes())
-        if data[at + 1] in _JPEG_FRAME_MARKERS:
-            return int(width * height)
+    while view[:3] == _JPEG and at + 9 <= len(view) and view[at] == 0xFF:
+        marker, length, _, height, width = struct.unpack_from(">xBHBHH", view, at)
+        if marker in _JPEG_FRAME_MARKERS:
+            return int(height * width)
         at += 2 + length
     return 0
 

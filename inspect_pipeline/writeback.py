@@ -31,6 +31,7 @@ from inspect_pipeline.writeback_summary import Contents, encode_end, encode_reco
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Set as AbstractSet
     from pathlib import Path
     from typing import BinaryIO
 
@@ -111,9 +112,10 @@ class AnnotationWriter:
                 self._source.path, f"it has a channel {topic} already", "write its annotations to a sidecar"
             )
         schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
-        channel_id = self._free_id(self._contents.channels)
+        channel_id = self._free_id(self._contents.used_channel_ids)
         channel = Channel(channel_id, topic, message_encoding, dict(metadata), schema_id)
         self._contents.channels[channel_id] = channel
+        self._contents.used_channel_ids.add(channel_id)
         self._chunk.records += encode_records([channel])
         return channel_id
 
@@ -153,15 +155,19 @@ class AnnotationWriter:
     def _schema_id(self, name: str, encoding: str, data: bytes) -> int:
         key = (name, encoding, data)
         if key not in self._schema_ids:
-            schema = Schema(id=self._free_id(self._contents.schemas), name=name, encoding=encoding, data=data)
+            schema_id = self._free_id(self._contents.schemas.keys())
+            schema = Schema(id=schema_id, name=name, encoding=encoding, data=data)
             self._schema_ids[key] = schema.id
             self._contents.schemas[schema.id] = schema
             self._chunk.records += encode_records([schema])
         return self._schema_ids[key]
 
-    def _free_id(self, used: Mapping[int, object]) -> int:
+    def _free_id(self, used: AbstractSet[int]) -> int:
+        """The id above all used ones, or where there is none above, the lowest free one."""
         free = max(used, default=0) + 1
         if free > _MAX_ID:
+            free = next((i for i in range(1, _MAX_ID) if i not in used), 0)
+        if not free:
             raise RecordingError(self._source.path, "it has no channel ids left", "write a sidecar")
         return free
 

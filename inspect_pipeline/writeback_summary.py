@@ -38,6 +38,7 @@ class Contents:
     """What a file holds: the records its summary repeats or points to.
 
     has_loose_messages: messages outside chunks, which no index can point to.
+    used_channel_ids: those of the channels, and those that messages have without their channel being known.
     start_ns, end_ns: first and last log time, None without messages.
     """
 
@@ -50,12 +51,14 @@ class Contents:
     start_ns: int | None = None
     end_ns: int | None = None
     has_loose_messages: bool = False
+    used_channel_ids: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, source: Recording) -> Contents:
         """The contents of a recording."""
         layout = source.layout
         counts = source.message_counts()
+        ids = set[int]().union(*(extent.channel_ids or () for extent in layout.extents))
         return cls(
             schemas=dict(layout.schemas),
             channels=dict(layout.channels),
@@ -65,6 +68,7 @@ class Contents:
             message_counts=counts,
             start_ns=source.start_ns if counts.total() else None,
             end_ns=source.end_ns if counts.total() else None,
+            used_channel_ids=ids.union(layout.channels, counts),
             has_loose_messages=any(extent.chunk is None for extent in layout.extents),
         )
 

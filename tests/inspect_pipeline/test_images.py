@@ -202,6 +202,14 @@ def test_an_image_that_claims_absurd_size_takes_no_memory(suffix: str) -> None:
         decode(message(bytes(data)))
 
 
+def test_a_png_chunk_that_claims_absurd_size_takes_no_memory() -> None:
+    data = bytearray(encoded_picture(1))
+    at = data.index(b"IDAT") - 4
+    data[at : at + 4] = b"\x7f\xff\xff\xf0"
+    with pytest.raises(ImageError, match="cut off"):
+        decode(message(bytes(data)))
+
+
 def test_video_is_named() -> None:
     with pytest.raises(ImageError, match="video"):
         decode(message(b"\0\0\0\1\x67" + b"x" * 50, "h264"))

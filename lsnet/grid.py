@@ -1,0 +1,122 @@
+"""The four overlapping grids of the paper (Section III-B) as one interleaved map.
+
+Cells are `cell_px` wide squares. The main grid tiles the image; the horizontal, vertical and central
+grids are the same shifted by half a cell in x, in y, and in both. Interleaved, they are one map with a
+step of half a cell: position (row, column) is the cell whose top-left corner is
+(column, row) * cell_px / 2, and an image of (h, w) has (2 h / cell_px - 1, 2 w / cell_px - 1) positions,
+31 x 31 at 512 x 512 with cells of 32 px. Even row and column: main grid; odd column: horizontal;
+odd row: vertical; both odd: central.
+
+A cell says its longest segment, both endpoints as fractions of the cell: (0, 0) is its top-left corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lsnet.geometry import clip_to_boxes
+from lsnet.segments import Segments
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+NEGATIVE, POSITIVE, IGNORED = 0, 1, -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """What the network should say of one image.
+
+    labels: (R, C) int8, POSITIVE, NEGATIVE or IGNORED.
+    endpoints: (R, C, 4) float32 in cell fractions, zero where the label is not POSITIVE.
+    """
+
+    labels: NDArray[np.int8]
+    endpoints: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class GridCoder:
+    """Polylines to targets and network maps to segments; `encode` and `decode` undo each other.
+
+    min_chord: shortest chord, as a fraction of the cell, that makes a cell positive. Shorter ones are
+    ignored in training, since another of the four grids holds that stretch as a long chord.
+    """
+
+    cell_px: int = 32
+    min_chord: float = 0.25
+
+    @property
+    def stride_px(self) -> int:
+        """Distance of neighbouring positions of the interleaved map."""
+        return self.cell_px // 2
+
+    def map_size(self, image_size: tuple[int, int]) -> tuple[int, int]:
+        """(rows, columns) of the interleaved map of an image of (height, width)."""
+        return image_size[0] // self.stride_px - 1, image_size[1] // self.stride_px - 1
+
+    def corners(self, image_size: tuple[int, int]) -> NDArray[np.float32]:
+        """(R, C, 2) x, y of the top-left corner of each cell, pixels."""
+        rows, columns = self.map_size(image_size)
+        y, x = np.mgrid[:rows, :columns].astype(np.float32) * self.stride_px
+        return np.stack([x, y], axis=-1)
+
+    def encode(self, polylines: Sequence[NDArray[np.floating]], image_size: tuple[int, int]) -> Targets:
+        """Targets of one image of (height, width) with lines given as (K, 2) points in pixels.
+
+        A line enters a cell as its chord, from where it first enters to where it last leaves. Of
+        several lines in a cell the longest chord counts.
+        """
+        corners = self.corners(image_size)
+        best = np.zeros(corners.shape[:2])
+        endpoints = np.zeros((*corners.shape[:2], 4))
+        boxes = np.concatenate([corners, corners + self.cell_px], axis=-1)
+        for points in polylines:
+            chords = _chords(np.asarray(points, float), boxes)
+            lengths = np.hypot(chords[..., 2] - chords[..., 0], chords[..., 3] - chords[..., 1])
+            is_longer = lengths > best
+            best = np.where(is_longer, lengths, best)
+            endpoints[is_longer] = chords[is_longer]
+        labels = np.where(best >= self.min_chord * self.cell_px, POSITIVE, IGNORED)
+        labels[best <= 0] = NEGATIVE
+        fractions = (endpoints - np.tile(corners, 2)) / self.cell_px
+        fractions[labels != POSITIVE] = 0
+        return Targets(labels.astype(np.int8), fractions.astype(np.float32))
+
+    def decode(
+        self,
+        scores: NDArray[np.floating],
+        endpoints: NDArray[np.floating],
+        image_size: tuple[int, int],
+        min_score: float,
+    ) -> Segments:
+        """Segments in pixels from maps: scores (R, C), endpoints (R, C, 4) in cell fractions.
+
+        Endpoints that leave their cell are drawn back to its border. A line along the edge between two
+        cells of one grid is said by both; nothing is merged here.
+        """
+        keep = scores >= min_score
+        inside = np.clip(endpoints[keep], 0.0, 1.0) * self.cell_px
+        absolute = inside + np.tile(self.corners(image_size)[keep], 2)
+        return Segments(absolute.astype(np.float32), scores[keep].astype(np.float32), image_size)
+
+
+def _chords(points: NDArray[np.floating], boxes: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(R, C, 4) chord of one polyline (K, 2) in each of the boxes (R, C, 4), zeros where it misses."""
+    pieces = np.concatenate([points[:-1], points[1:]], axis=1)
+    t_in, t_out = clip_to_boxes(pieces, boxes[:, :, None])  # (R, C, K - 1)
+    is_hit = t_out > t_in
+    first = np.argmax(is_hit, axis=-1)
+    last = is_hit.shape[-1] - 1 - np.argmax(is_hit[..., ::-1], axis=-1)
+    start = _along(pieces[first], np.take_along_axis(t_in, first[..., None], -1))
+    end = _along(pieces[last], np.take_along_axis(t_out, last[..., None], -1))
+    return np.concatenate([start, end], axis=-1) * is_hit.any(axis=-1)[..., None]
+
+
+def _along(pieces: NDArray[np.floating], t: NDArray[np.floating]) -> NDArray[np.floating]:
+    return pieces[..., :2] * (1 - t) + pieces[..., 2:] * t

@@ -1,0 +1,75 @@
+"""The multi-task loss of the paper (Section III-C): focal for the cells, Wing for the endpoints."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+import torch.nn.functional as F
+
+from lsnet.grid import IGNORED, POSITIVE
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from lsnet.model import RawOutput
+
+
+def focal_loss(logits: Tensor, is_positive: Tensor, alpha: float, gamma: float) -> Tensor:
+    """-alpha_t (1 - p_t)^gamma log p_t, elementwise.
+
+    logits: (N, 2), without and with a segment; is_positive: (N,) bool. alpha weighs the positive cells,
+    1 - alpha the others. gamma 0 and alpha 0.5 make it half the cross-entropy.
+    """
+    log_p = F.log_softmax(logits, dim=1)
+    log_p_t = torch.where(is_positive, log_p[:, 1], log_p[:, 0])
+    alpha_t = torch.where(is_positive, alpha, 1 - alpha)
+    return -alpha_t * (1 - log_p_t.exp()) ** gamma * log_p_t
+
+
+def endpoint_error(predicted: Tensor, target: Tensor) -> Tensor:
+    """d(e, t): (N,) least sum of absolute differences of (N, 4) endpoints over their two orders."""
+    swapped = predicted[:, [2, 3, 0, 1]]
+    return torch.minimum((target - predicted).abs().sum(1), (target - swapped).abs().sum(1))
+
+
+def wing_loss(error: Tensor, w: float, epsilon: float) -> Tensor:
+    """Logarithmic below w, linear above, elementwise on errors d >= 0 (Feng et al.)."""
+    offset = w - w * math.log(1 + w / epsilon)
+    return torch.where(error < w, w * torch.log1p(error / epsilon), error - offset)
+
+
+class Losses(NamedTuple):
+    """The parts of the loss of a batch, each a scalar per positive cell."""
+
+    total: Tensor
+    classification: Tensor
+    regression: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class MultiTaskLoss:
+    """L = L_cls + weight * [y = 1] L_reg, both summed over cells and divided by the positive ones.
+
+    The paper leaves alpha, gamma, w, epsilon and the weight (lambda) open; these train well with
+    endpoints in cell fractions.
+    """
+
+    alpha: float = 0.5
+    gamma: float = 2.0
+    w: float = 1.0
+    epsilon: float = 0.1
+    weight: float = 1.0
+
+    def __call__(self, output: RawOutput, labels: Tensor, endpoints: Tensor) -> Losses:
+        """labels (N, R, C) as in `grid.Targets`, endpoints (N, R, C, 4) in cell fractions."""
+        logits = output.logits.float().permute(0, 2, 3, 1)[labels != IGNORED]
+        is_positive = labels[labels != IGNORED] == POSITIVE
+        n_positive = is_positive.sum().clamp(min=1)
+        predicted = output.endpoints.float().permute(0, 2, 3, 1)[labels == POSITIVE]
+        error = endpoint_error(predicted, endpoints[labels == POSITIVE])
+        classification = focal_loss(logits, is_positive, self.alpha, self.gamma).sum() / n_positive
+        regression = wing_loss(error, self.w, self.epsilon).sum() / n_positive
+        return Losses(classification + self.weight * regression, classification, regression)

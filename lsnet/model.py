@@ -1,0 +1,168 @@
+"""LS-Net (Nguyen, Jenssen and Roverso, Section III-B, Table I), bottom-up.
+
+An image goes through a feature extractor to maps of 1/16 its size; the classifier and the regressor
+turn each 2 x 2 neighbourhood of them into one cell of the four interleaved grids (`lsnet.grid`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+
+@dataclass(frozen=True, slots=True)
+class LSNetConfig:
+    """The numbers of one network."""
+
+    stage_channels: tuple[int, ...]  # channels of each stage; every stage halves the image once
+    head_channels: int  # channels of the transformation layers of both heads
+    norm: Literal["group", "batch"]  # group as in the paper; batch folds into the convolutions
+    stem_channels: int | None = None  # a stride-2 convolution before the stages, None as in the paper
+    downsample: Literal["first", "last"] = "last"  # which convolution of a stage has stride 2
+    context_blocks: int = 0  # residual blocks of dilation 2 behind the last stage
+    residual: bool = False  # add a stage's input of its last two convolutions to their output
+    pixel_mean: float = 0.5  # of images in [0, 1]
+    pixel_std: float = 0.25
+
+
+PRESETS = {
+    "paper": LSNetConfig(stage_channels=(64, 128, 256, 512), head_channels=512, norm="group"),
+    "fast": LSNetConfig(
+        stem_channels=24,
+        stage_channels=(32, 64, 128),
+        head_channels=128,
+        norm="batch",
+        downsample="first",
+        context_blocks=1,
+        residual=True,
+    ),
+}
+
+GROUP_SIZE = 16  # channels a group of GroupNorm; the paper does not say
+
+
+class ConvNormAct(nn.Sequential):
+    """Convolution, normalisation, ReLU; "we adopt Group Normalization before activations"."""
+
+    def __init__(
+        self, c_in: int, c_out: int, norm: str, *, kernel: int = 3, stride: int = 1, dilation: int = 1
+    ) -> None:
+        padding = dilation if kernel == 3 else 0  # heads are not padded
+        super().__init__(
+            nn.Conv2d(c_in, c_out, kernel, stride, padding, dilation, bias=False),
+            nn.GroupNorm(c_out // GROUP_SIZE, c_out) if norm == "group" else nn.BatchNorm2d(c_out),
+            nn.ReLU(inplace=True),
+        )
+
+
+class Residual(nn.Module):
+    """Two convolutions with their input added: x + f(x)."""
+
+    def __init__(self, channels: int, norm: str, dilation: int = 1) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            ConvNormAct(channels, channels, norm, dilation=dilation),
+            ConvNormAct(channels, channels, norm, dilation=dilation),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) in and out."""
+        out: Tensor = x + self.body(x)
+        return out
+
+
+class FeatureExtractor(nn.Sequential):
+    """VGG-16 cut before its last pooling, pooling replaced by strides: (N, 3, H, W) to (N, C, H/16, W/16)."""
+
+    def __init__(self, config: LSNetConfig) -> None:
+        layers: list[nn.Module] = []
+        c_in = 3
+        if config.stem_channels:
+            layers.append(ConvNormAct(c_in, config.stem_channels, config.norm, stride=2))
+            c_in = config.stem_channels
+        for c_out in config.stage_channels:
+            layers += self._stage(c_in, c_out, config)
+            c_in = c_out
+        layers += [Residual(c_in, config.norm, dilation=2) for _ in range(config.context_blocks)]
+        super().__init__(*layers)
+
+    @staticmethod
+    def _stage(c_in: int, c_out: int, config: LSNetConfig) -> list[nn.Module]:
+        if config.downsample == "last":
+            return [
+                ConvNormAct(c_in, c_out, config.norm),
+                ConvNormAct(c_out, c_out, config.norm),
+                ConvNormAct(c_out, c_out, config.norm, stride=2),
+            ]
+        first = ConvNormAct(c_in, c_out, config.norm, stride=2)
+        if config.residual:
+            return [first, Residual(c_out, config.norm)]
+        return [first, ConvNormAct(c_out, c_out, config.norm), ConvNormAct(c_out, c_out, config.norm)]
+
+
+class Head(nn.Sequential):
+    """A 2 x 2 transformation layer to the four grids, then a 1 x 1 layer: (N, C, R + 1, ..) to (N, K, R, ..)."""
+
+    def __init__(self, c_in: int, config: LSNetConfig, outputs: int) -> None:
+        super().__init__(
+            ConvNormAct(c_in, config.head_channels, config.norm, kernel=2),
+            nn.Conv2d(config.head_channels, outputs, 1),
+        )
+
+
+class Classifier(Head):
+    """Two logits a cell: without and with a line segment."""
+
+    def __init__(self, c_in: int, config: LSNetConfig) -> None:
+        super().__init__(c_in, config, outputs=2)
+        final = self[-1]
+        assert isinstance(final, nn.Conv2d) and final.bias is not None  # noqa: S101, PT018
+        with torch.no_grad():  # start near the share of cells with lines, as RetinaNet does
+            final.bias.copy_(torch.tensor([1.0, -1.0]))
+
+
+class Regressor(Head):
+    """Endpoints of the longest segment of a cell: x1 y1 x2 y2 in cell fractions."""
+
+    def __init__(self, c_in: int, config: LSNetConfig) -> None:
+        super().__init__(c_in, config, outputs=4)
+
+
+class RawOutput(NamedTuple):
+    """What the network says of a batch, before any threshold."""
+
+    logits: Tensor  # (N, 2, R, C)
+    endpoints: Tensor  # (N, 4, R, C) in cell fractions
+
+    @property
+    def scores(self) -> Tensor:
+        """(N, R, C) probability that the cell holds a segment."""
+        return self.logits.softmax(dim=1)[:, 1]
+
+
+class LSNet(nn.Module):
+    """The whole network: images (N, 3, H, W) in [0, 1], H and W multiples of 16, to `RawOutput`."""
+
+
+    def __init__(self, config: LSNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        features = config.stage_channels[-1]
+        self.extractor = FeatureExtractor(config)
+        self.classifier = Classifier(features, config)
+        self.regressor = Regressor(features, config)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+        for head in (self.classifier, self.regressor):
+            nn.init.normal_(head[-1].weight, std=0.01)  # type: ignore[arg-type]
+        nn.init.constant_(self.regressor[-1].bias, 0.5)  # type: ignore[arg-type]
+
+    def forward(self, images: Tensor) -> RawOutput:
+        """Raw maps of a batch; a batch gives what its images give one by one."""
+        x = (images - self.config.pixel_mean) / self.config.pixel_std
+        features = self.extractor(x)
+        return RawOutput(self.classifier(features), self.regressor(features))

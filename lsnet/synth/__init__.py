@@ -1,0 +1,1 @@
+"""Synthetic training images (Section III-A): cables drawn over photographs, with what is mistaken for them."""

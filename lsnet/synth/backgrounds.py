@@ -1,0 +1,125 @@
+"""What the cables hang over: photographs without lines, views of environment maps, plain drawn grounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from lsnet.errors import LSNetError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Image = NDArray[np.float32]
+    Rng = np.random.Generator
+
+SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".hdr"}
+
+
+@dataclass(frozen=True, slots=True)
+class BackgroundFolder:
+    """A folder of images without lines; `first` takes only so many of them, by file name.
+
+    Written on the command line as DIR or DIR:FIRST.
+    """
+
+    path: Path
+    first: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> BackgroundFolder:
+        """From DIR or DIR:FIRST."""
+        head, _, tail = text.rpartition(":")
+        return cls(Path(head), int(tail)) if head and tail.isdigit() else cls(Path(text))
+
+    def files(self) -> list[Path]:
+        """The image files taken, sorted by name. Raises LSNetError when there are none."""
+        if not self.path.is_dir():
+            raise LSNetError(f"{self.path}: not a folder; give a folder of photographs without lines")
+        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in SUFFIXES)[: self.first]
+        if not files:
+            raise LSNetError(f"{self.path}: no images in it; give a folder of photographs without lines")
+        return files
+
+
+def load_rgb(path: Path) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 RGB as stored, without EXIF rotation; radiance maps are tone-mapped.
+
+    Raises LSNetError when the file is not an image.
+    """
+    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
+    if path.suffix.lower() == ".hdr":
+        flags = cv2.IMREAD_UNCHANGED
+    try:
+        image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
+    except (OSError, cv2.error) as err:
+        raise LSNetError(f"{path}: cannot be read as an image; give a JPEG, PNG or the like") from err
+    if image is None:
+        raise LSNetError(f"{path}: cannot be read as an image; give a JPEG, PNG or the like")
+    if path.suffix.lower() == ".hdr":
+        bright = max(float(np.percentile(image, 90)), 1e-6)
+        image = np.clip((image[..., ::-1] / bright) ** (1 / 2.2) * 220, 0, 255).astype(np.uint8)
+    return np.ascontiguousarray(image)
+
+
+class BackgroundPool:
+    """Photographs held in memory, cut out at random place and scale.
+
+    A folder is drawn from in proportion to the square root of its pixels: large photographs more often
+    than thumbnails, but none of them alone.
+    """
+
+    def __init__(self, folders: Sequence[BackgroundFolder]) -> None:
+        self._folders = [[load_rgb(f) for f in folder.files()] for folder in folders]
+        weights = np.sqrt([sum(photo.size for photo in photos) for photos in self._folders])
+        self._shares = weights / weights.sum()
+
+    def sample(self, rng: Rng, size: int) -> Image:
+        """A float32 (size, size, 3) background."""
+        if not self._folders or rng.random() < 0.15:
+            return plain(rng, size)
+        photos = self._folders[rng.choice(len(self._folders), p=self._shares)]
+        return cut_out(photos[rng.integers(len(photos))], rng, size)
+
+
+def cut_out(photo: NDArray[np.uint8], rng: Rng, size: int) -> Image:
+    """A random square of a photograph at a random scale, turned by quarter turns and mirrored."""
+    short = min(photo.shape[:2])
+    low, high = min(0.5 * short, 90), min(short, 3.0 * size)
+    side = int(np.exp(rng.uniform(np.log(low), np.log(high))))
+    y, x = rng.integers(photo.shape[0] - side + 1), rng.integers(photo.shape[1] - side + 1)
+    square = np.rot90(photo[y : y + side, x : x + side], int(rng.integers(4)))
+    if rng.random() < 0.5:
+        square = square[:, ::-1]
+    how = cv2.INTER_AREA if side > size else cv2.INTER_CUBIC
+    image: Image = cv2.resize(np.ascontiguousarray(square), (size, size), interpolation=how).astype(np.float32)
+    if side < size / 1.5:  # an enlarged picture is too smooth: give it grain
+        image += grain(rng, size, rng.uniform(2, 16), int(rng.integers(1, 4)))
+    return image
+
+
+def grain(rng: Rng, size: int, sigma: float, pitch_px: int) -> Image:
+    """(size, size, 1) Gaussian noise, smooth over `pitch_px`."""
+    count = size // pitch_px + 2
+    noise = rng.standard_normal((count, count), dtype=np.float32) * np.float32(sigma)
+    out: Image = cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)[..., None]
+    return out
+
+
+def plain(rng: Rng, size: int) -> Image:
+    """Sky, asphalt, concrete or soil: one colour, a gradient, grain and stains."""
+    base = np.clip(rng.uniform(15, 240) + rng.normal(0, 18, 3), 0, 255).astype(np.float32)
+    angle = rng.uniform(0, 2 * np.pi)
+    t = np.linspace(-1, 1, size, dtype=np.float32)
+    slope = np.cos(angle) * t + np.sin(angle) * t[:, None]
+    image: Image = base + (slope * np.float32(rng.uniform(0, 35)))[..., None] + np.zeros((1, 1, 3), np.float32)
+    image += grain(rng, size, rng.uniform(0, 14), 1)
+    image += grain(rng, size, rng.uniform(0, 16), int(rng.integers(2, 12)))
+    image += grain(rng, size, rng.uniform(0, 22), int(rng.integers(12, 90)))
+    return image

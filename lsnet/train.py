@@ -1,0 +1,250 @@
+"""Training on the CPU (Section III-D): drawn images without end, or one's own, to a checkpoint folder.
+
+A run folder holds `last.pt` (everything needed to go on), `best.pt` (the averaged weights with the least
+validation loss) and `log.jsonl`. A killed run goes on from `last.pt` and sees the samples it would have seen.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Dataset
+
+from lsnet.errors import LSNetError
+from lsnet.grid import GridCoder
+from lsnet.losses import Losses, MultiTaskLoss
+from lsnet.model import PRESETS, LSNet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from torch import Tensor
+
+    from lsnet.synth.dataset import Sample
+
+    Batch = tuple[Tensor, Tensor, Tensor]
+
+
+class SampleSource(Protocol):
+    """Samples by index, the same for the same index."""
+
+    size: int
+
+    def __getitem__(self, index: int) -> Sample: ...
+
+
+@dataclass(frozen=True, slots=True)
+class TrainConfig:
+    """The recipe of one run."""
+
+    preset: str = "fast"
+    steps: int = 10_000
+    batch_size: int = 8
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.01
+    warmup_steps: int = 200
+    ema_decay: float = 0.998  # of the averaged weights, which are the ones kept
+    validate_every: int = 500
+    validation_images: int = 256
+    patience: int = 12  # validations without a better one before the run stops
+    threads: int = 1
+    workers: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What is reported while training: mean losses since the last report."""
+
+    step: int
+    steps: int
+    loss: float
+    classification: float
+    regression: float
+    images_per_s: float
+    validation_loss: float | None = None
+
+
+class _Encoded(Dataset["Batch"]):
+    """Samples as tensors: image (3, H, W) uint8, labels (R, C), endpoints (R, C, 4)."""
+
+    def __init__(self, samples: SampleSource, coder: GridCoder) -> None:
+        self._samples, self._coder = samples, coder
+
+    def __getitem__(self, index: int) -> Batch:
+        sample = self._samples[index]
+        targets = self._coder.encode(sample.lines, (self._samples.size, self._samples.size))
+        image = torch.from_numpy(np.ascontiguousarray(sample.image.transpose(2, 0, 1)))
+        return image, torch.from_numpy(targets.labels), torch.from_numpy(targets.endpoints)
+
+
+def loader(samples: SampleSource, indices: range, config: TrainConfig) -> DataLoader[Batch]:
+    """Batches of the samples of `indices`, in order, encoded in worker processes."""
+    return DataLoader(
+        _Encoded(samples, GridCoder()),
+        batch_size=config.batch_size,
+        sampler=indices,
+        num_workers=config.workers,
+        prefetch_factor=6 if config.workers else None,
+        worker_init_fn=_single_threaded,
+    )
+
+
+def _single_threaded(_worker: int) -> None:
+    import cv2  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
+def learning_rate_at(step: int, config: TrainConfig) -> float:
+    """Linear warm-up, then a cosine down to a hundredth."""
+    if step < config.warmup_steps:
+        return config.learning_rate * (step + 1) / config.warmup_steps
+    t = (step - config.warmup_steps) / max(1, config.steps - config.warmup_steps)
+    return config.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(t, 1.0))))
+
+
+class Trainer:
+    """One run: the network, its average, the optimizer, and how far they have come."""
+
+    def __init__(self, config: TrainConfig, run_dir: Path, *, seed: int = 0, start: Path | None = None) -> None:
+        """Start a run or go on with it.
+
+        start: weights (`best.pt` of another run) to begin with. Raises LSNetError when the folder
+        holds a run of another recipe, or the network does not fit.
+        """
+        torch.manual_seed(seed)
+        torch.set_num_threads(config.threads)
+        self.config, self.run_dir = config, run_dir
+        self.net = LSNet(PRESETS[config.preset]).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.average = LSNet(PRESETS[config.preset])
+        self.average.eval()
+        self.optimizer = torch.optim.AdamW(
+            self.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.loss = MultiTaskLoss()
+        self.step, self.best_loss, self.bad_validations = 0, math.inf, 0
+        run_dir.mkdir(parents=True, exist_ok=True)
+        if (run_dir / "last.pt").exists():
+            self._restore()
+        elif start:
+            self.net.load_state_dict(torch.load(start, weights_only=True)["average"])
+        if self.step == 0:
+            self.average.load_state_dict(self.net.state_dict())
+
+    def run(self, samples: SampleSource, validation: SampleSource, report: Callable[[Progress], None]) -> None:
+        """Train to the last step or until validation stops improving; `report` is called now and then."""
+        config = self.config
+        validation_batches = list(loader(validation, range(config.validation_images), config))
+        batches = loader(samples, range(self.step * config.batch_size, config.steps * config.batch_size), config)
+        for progress in self._epoch(batches):
+            if progress.step % config.validate_every and progress.step != config.steps:
+                report(progress)
+                continue
+            loss = self.validate(validation_batches)
+            report(replace(progress, validation_loss=loss))
+            self._log(replace(progress, validation_loss=loss))
+            self._keep(loss)
+            if self.bad_validations >= config.patience:
+                return
+
+    def validate(self, batches: list[Batch]) -> float:
+        """Mean loss of the averaged network."""
+        with torch.no_grad():
+            losses = [float(self._losses(self.average, batch).total) for batch in batches]
+        return sum(losses) / len(losses)
+
+    def _epoch(self, batches: DataLoader[Batch]) -> Iterator[Progress]:
+        """Step through the batches, reporting every 50 steps."""
+        totals, count, clock = np.zeros(3), 0, time.monotonic()
+        for batch in batches:
+            losses = self._train_step(batch)
+            totals += [float(part.detach()) for part in losses]
+            count += 1
+            if self.step % 50 and self.step != self.config.steps:
+                continue
+            rate = count * self.config.batch_size / (time.monotonic() - clock)
+            mean = totals / count
+            yield Progress(self.step, self.config.steps, mean[0], mean[1], mean[2], rate)
+            totals, count, clock = np.zeros(3), 0, time.monotonic()
+
+    def _train_step(self, batch: Batch) -> Losses:
+        self.net.train()
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate_at(self.step, self.config)
+        losses = self._losses(self.net, batch)
+        self.optimizer.zero_grad(set_to_none=True)
+        losses.total.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
+        self.optimizer.step()
+        self.step += 1
+        self._update_average()
+        return losses
+
+    def _losses(self, net: LSNet, batch: Batch) -> Losses:
+        images, labels, endpoints = batch
+        pixels = images.to(memory_format=torch.channels_last).float().div_(255)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            output = net(pixels)
+        return self.loss(output, labels, endpoints)
+
+    def _update_average(self) -> None:
+        """Exponential moving average; young runs forget faster."""
+        decay = min(self.config.ema_decay, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            now = self.net.state_dict()
+            for name, kept in self.average.state_dict().items():
+                if kept.is_floating_point():
+                    kept.lerp_(now[name].to(kept.dtype), 1 - decay)
+                else:
+                    kept.copy_(now[name])
+
+    def _keep(self, loss: float) -> None:
+        if loss < self.best_loss:
+            self.best_loss, self.bad_validations = loss, 0
+            _save({"average": self.average.state_dict(), "step": self.step}, self.run_dir / "best.pt")
+        else:
+            self.bad_validations += 1
+        _save(self._state(), self.run_dir / "last.pt")
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "recipe": asdict(self.config),
+            "net": self.net.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+            "best_loss": self.best_loss,
+            "bad_validations": self.bad_validations,
+        }
+
+    def _restore(self) -> None:
+        state = torch.load(self.run_dir / "last.pt", weights_only=True)
+        ours = asdict(self.config)
+        changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
+        if changed:
+            raise LSNetError(f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another --run folder")
+        self.net.load_state_dict(state["net"])
+        self.average.load_state_dict(state["average"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.best_loss = state["step"], state["best_loss"]
+        self.bad_validations = state["bad_validations"]
+
+    def _log(self, progress: Progress) -> None:
+        with (self.run_dir / "log.jsonl").open("a") as log:
+            log.write(json.dumps(asdict(progress)) + "\n")
+
+
+def _save(state: dict[str, Any], path: Path) -> None:
+    """Written beside and renamed, so that a kill leaves the old checkpoint or the new one."""
+    partial = path.with_suffix(".partial")
+    torch.save(state, partial)
+    os.replace(partial, path)  # noqa: PTH105

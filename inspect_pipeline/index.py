@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ import duckdb
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.files import fsync_path, store_errors
 from inspect_pipeline.resources import MIGRATIONS, read_schema
+from inspect_pipeline.tables import ROW_TABLES, count_migrations, create_tables
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.store import Store, StoredFlight
 
-ROW_TABLES = ("frames", "segments", "lines")
 _FLIGHTS_PER_INSERT = 256
 
 # Files of this storage version are read by DuckDB 1.5 and 2 alike.
@@ -34,12 +33,15 @@ _CONFIG: dict[str, str | bool | int | float | list[str]] = {
     "storage_compatibility_version": "v1.5.0",
     "memory_limit": "128MB",
     "threads": "2",
+    "python_enable_replacements": "false",
 }
-_SET_CHANNEL_TIMES = """
+# Folders of a store may be called line=L12, which says nothing about columns.
+_PARQUET = "read_parquet(?, union_by_name := true, hive_partitioning := false)"
+_SET_CHANNEL_TIMES = f"""
 UPDATE channels SET first_ns = f.first_ns, last_ns = f.last_ns
 FROM (
     SELECT flight_id, channel_id, min(log_time_ns) AS first_ns, max(log_time_ns) AS last_ns
-    FROM read_parquet(?, union_by_name := true)
+    FROM {_PARQUET}
     GROUP BY ALL
 ) AS f
 WHERE channels.flight_id = f.flight_id AND channels.channel_id = f.channel_id
@@ -103,32 +105,11 @@ def verify(store: Store) -> tuple[str, ...]:
         return (*problems, *_compare_rows(store.index_path, list(same.values())))
 
 
-def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
-    """Apply the migrations that a database lacks, each in a transaction."""
-    for number, name in enumerate(MIGRATIONS[_version(connection) :], _version(connection) + 1):
-        connection.begin()
-        connection.execute(read_schema(name))
-        connection.execute(
-            "INSERT INTO schema_version VALUES (?, ?, ?)",
-            [number, datetime.now(UTC).replace(tzinfo=None), version("lsnet-pipe")],
-        )
-        connection.commit()
-
-
 def _is_of_this_program(path: Path) -> bool:
     """Whether tables and views of a readable index are those of this version of the program."""
-    with duckdb.connect(path, read_only=True) as connection:
+    with duckdb.connect(path, read_only=True, config=_CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
         return connection.execute(latest).fetchone() == (len(MIGRATIONS), version("lsnet-pipe"))
-
-
-def _version(connection: duckdb.DuckDBPyConnection) -> int:
-    """The number of migrations applied to a database."""
-    try:
-        row = connection.execute("SELECT max(version) FROM schema_version").fetchone()
-    except duckdb.CatalogException:
-        return 0
-    return int(row[0]) if row and row[0] else 0
 
 
 def _whole_flights(store: Store) -> tuple[list[StoredFlight], list[Path]]:
@@ -146,8 +127,8 @@ def _published(path: Path) -> dict[str, str] | None:
     if not path.exists():
         return None
     try:
-        with duckdb.connect(path, read_only=True) as connection:
-            found = _version(connection)
+        with duckdb.connect(path, read_only=True, config=_CONFIG) as connection:
+            found = count_migrations(connection)
             if found > len(MIGRATIONS):
                 problem = f"index version {found}, this program knows {len(MIGRATIONS)}"
                 raise StoreVersionError(path, problem, "upgrade lsnet-pipe")
@@ -224,7 +205,7 @@ def _replace_rows(
 
 def _insert_flights(connection: duckdb.DuckDBPyConnection, flights: Sequence[StoredFlight]) -> None:
     for table in ROW_TABLES:
-        statement = f"INSERT INTO {table} BY NAME SELECT * FROM read_parquet(?, union_by_name := true)"
+        statement = f"INSERT INTO {table} BY NAME SELECT * FROM {_PARQUET}"
         connection.execute(statement, [_row_files(flights, table)])
     records = {flight.result_sha256: flight.record.to_json() for flight in flights}
     runs = {record["run"]["run_id"]: record["run"] for record in records.values()}
@@ -275,10 +256,10 @@ def _compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
     """The flights whose rows in the index are not those of their parquet files."""
     problems = []
     try:
-        with duckdb.connect(index_path, read_only=True) as connection:
+        with duckdb.connect(index_path, read_only=True, config=_CONFIG) as connection:
             for table in ROW_TABLES if flights else ():
-                expected = _digests(connection, table, f"read_parquet({_row_files(flights, table)})")
-                found = _digests(connection, table, table)
+                expected = _digests(connection, table, _PARQUET, [_row_files(flights, table)])
+                found = _digests(connection, table, table, [])
                 differing = [i for i, digest in expected.items() if found.get(i) != digest]
                 problems += [f"{i}: other {table} in the index; {_REBUILD}" for i in differing]
     except duckdb.Error as error:
@@ -289,12 +270,15 @@ def _compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
     return problems
 
 
-def _digests(connection: duckdb.DuckDBPyConnection, table: str, source: str) -> dict[str, tuple[int, int]]:
+def _digests(
+    connection: duckdb.DuckDBPyConnection, table: str, source: str, values: list[list[str]]
+) -> dict[str, tuple[int, int]]:
     """The number of rows and a hash of all their values, per flight of `source`, which is like `table`."""
     described = connection.execute(f"DESCRIBE {table}").fetchall()
     columns = ", ".join(name for name, *_ in described if not name.endswith("_utc"))
     rows = connection.execute(
-        f"SELECT flight_id, count(*), bit_xor(hash({columns})) FROM {source} GROUP BY flight_id"
+        f"SELECT flight_id, count(*), bit_xor(hash({columns})) FROM {source} GROUP BY flight_id",
+        values,
     ).fetchall()
     return {flight_id: (count, digest) for flight_id, count, digest in rows}
 
@@ -305,8 +289,9 @@ def _unreadable(flights: list[StoredFlight]) -> list[Path]:
     with duckdb.connect(":memory:", config=_CONFIG) as connection:
         for flight in flights:
             try:
-                for file in (flight.folder / f"{table}.parquet" for table in ROW_TABLES):
-                    connection.execute("SELECT bit_xor(hash(row)) FROM read_parquet(?) AS row", [str(file)])
+                for table in ROW_TABLES:
+                    files = _row_files([flight], table)
+                    connection.execute(f"SELECT bit_xor(hash(row)) FROM {_PARQUET} AS row", [files])
             except duckdb.Error:
                 folders.append(flight.folder)
     return folders

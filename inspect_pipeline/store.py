@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from inspect_pipeline.errors import StoreBusyError, StoreVersionError
+from inspect_pipeline.errors import StoreBusyError, StoreError, StoreVersionError
 from inspect_pipeline.files import (
     OUT_OF_SPACE,
     acquire_lock,
@@ -89,10 +89,17 @@ class Staging:
 
 
 class Store:
-    """The folder `root`; nothing is made on disk before the first write."""
+    """The folder `root`; nothing is made on disk before the first write.
+
+    Raises StoreError for a name that DuckDB would take for a pattern or for options.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
+        if re.search(r"[?*\\\n]", str(self.root)):
+            raise StoreError(
+                self.root, "a store cannot be in a folder of this name", "give another with --store"
+            )
         self.index_path = self.root / "index.duckdb"
         self._flights = self.root / "flights"
         self._staging = self.root / "staging"
@@ -106,7 +113,7 @@ class Store:
     def load_flight(self, flight_id: str) -> FlightRecord | None:
         """The record of a flight, or None when the store has no whole result of it."""
         stored = self._load(self.flight_dir(flight_id))
-        return stored.record if stored else None
+        return stored.record if stored and stored.is_whole() else None
 
     def scan(self) -> tuple[list[StoredFlight], list[Path]]:
         """All flights by time, and the folders without a readable result.json; raises StoreError."""
@@ -156,7 +163,7 @@ class Store:
                 self._discard_dead()
 
     def _discard_dead(self) -> None:
-        """Discard the staging folders whose lock is free; the caller holds the mutex, so none is being made."""
+        """Discard the staging folders whose lock is free; the caller holds the mutex."""
         for path in self._staging.glob("*.lock"):
             with suppress(BlockingIOError), acquire_lock(path, wait=False):
                 self._discard(path.with_suffix(""))

@@ -1,11 +1,14 @@
-"""The rows of one flight: collected frame by frame, written as frames, segments and lines.parquet.
+"""The tables: made by numbered migrations, and filled with the rows of one flight, frame by frame.
 
-Rows wait in columns of NumPy arrays, then in an in-memory DuckDB that spills into the flight's folder, so
-memory stays bounded however many segments a flight has. The tables are those of the index.
+The rows become frames.parquet, segments.parquet and lines.parquet. They wait in NumPy columns,
+then in an in-memory DuckDB that spills into the flight's folder, so memory stays bounded however many
+segments a flight has.
 """
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+from importlib.metadata import version
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Self
 
@@ -14,7 +17,7 @@ import numpy as np
 
 from inspect_pipeline.errors import StoreError
 from inspect_pipeline.flight import FlightTotals
-from inspect_pipeline.index import ROW_TABLES, create_tables
+from inspect_pipeline.resources import MIGRATIONS, read_schema
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
     from lsnet.segments import Detections, Lines, Segments
 
 Columns = dict[str, "NDArray[Any]"]
+
+ROW_TABLES = ("frames", "segments", "lines")
 
 _FLUSH_ROWS = 65_536
 _CONFIG: dict[str, str | bool | int | float | list[str]] = {
@@ -80,6 +85,29 @@ _FRAME_DTYPES = {
     "n_segments": np.int32,
     "n_lines": np.int32,
 }
+
+
+def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
+    """Apply the migrations that a database lacks, each in a transaction."""
+    for number, name in enumerate(
+        MIGRATIONS[count_migrations(connection) :], count_migrations(connection) + 1
+    ):
+        connection.begin()
+        connection.execute(read_schema(name))
+        connection.execute(
+            "INSERT INTO schema_version VALUES (?, ?, ?)",
+            [number, datetime.now(UTC).replace(tzinfo=None), version("lsnet-pipe")],
+        )
+        connection.commit()
+
+
+def count_migrations(connection: duckdb.DuckDBPyConnection) -> int:
+    """How many migrations were applied to a database."""
+    try:
+        row = connection.execute("SELECT max(version) FROM schema_version").fetchone()
+    except duckdb.CatalogException:
+        return 0
+    return int(row[0]) if row and row[0] else 0
 
 
 class FlightWriter:

@@ -11,7 +11,7 @@ import duckdb
 import flights
 import pytest
 
-from inspect_pipeline import index
+from inspect_pipeline import index, tables
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store import Store
@@ -249,8 +249,9 @@ def test_a_newer_index_is_refused_and_rebuilt_on_demand(store: Store) -> None:
 def test_an_older_index_is_migrated(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the next version of the program would: one more migration, applied even when no flight is new."""
     later = {"0002_later.sql": "ALTER TABLE flights ADD COLUMN pilot VARCHAR DEFAULT 'unknown'"}
-    monkeypatch.setattr(index, "MIGRATIONS", (*MIGRATIONS, *later))
-    monkeypatch.setattr(index, "read_schema", lambda name: later.get(name) or read_schema(name))
+    for module in (index, tables):
+        monkeypatch.setattr(module, "MIGRATIONS", (*MIGRATIONS, *later))
+        monkeypatch.setattr(module, "read_schema", lambda name: later.get(name) or read_schema(name))
     assert index.publish(store).n_written == 0
     assert ask(store, "SELECT version FROM schema_version ORDER BY 1") == [(1,), (2,)]
     assert ask(store, "SELECT DISTINCT pilot FROM flights") == [("unknown",)]
@@ -312,6 +313,21 @@ def test_views_find_planted_faults(tmp_path: Path) -> None:
 def test_files_are_of_the_storage_version_both_duckdbs_read(store: Store) -> None:
     tags = ask(store, "SELECT tags['storage_version'] FROM duckdb_databases() WHERE database_name = 'index'")
     assert tags[0][0].startswith("v1.5.0")
+
+
+@pytest.mark.parametrize("name", ["line=L12/flight_id=5", "in[sp]ect", "it's", 'a "b" {c} #1=ü'])
+def test_odd_folders(tmp_path: Path, name: str) -> None:
+    store = Store(tmp_path / name)
+    flights.write_flight(store, "a", 3)
+    index.publish(store)
+    assert index.verify(store) == ()
+    assert ask(store, "SELECT count(*) FROM frames") == [(3,)]
+
+
+@pytest.mark.parametrize("name", ["wh?t", "st*r", "back\\slash", "a\nb"])
+def test_impossible_folders(tmp_path: Path, name: str) -> None:
+    with pytest.raises(StoreError, match="give another with --store"):
+        Store(tmp_path / name)
 
 
 def test_hostile_names_stay_inert(tmp_path: Path) -> None:

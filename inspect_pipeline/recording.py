@@ -10,6 +10,7 @@ Times are integer nanoseconds, ranges are start <= t < end. What cannot be read 
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
@@ -40,6 +41,10 @@ __all__ = [
     "select_cameras",
 ]
 
+_DIGEST_BYTES = 1 << 20
+_PLAUSIBLE_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100
+_WRONG_UNITS = {"seconds": 1, "milliseconds": 10**3, "microseconds": 10**6}
+_YEAR_NS = 365 * 86_400 * 10**9
 RUN_METADATA = "lsnet_pipe.run"  # name of the Metadata record that marks an annotated copy
 
 
@@ -84,6 +89,17 @@ class Recording:
         return self.layout.losses
 
     @property
+    def warnings(self) -> list[str]:
+        """What is odd about the log times but prevents nothing, one phrase each."""
+        found = [
+            f"its log times look like {unit} instead of nanoseconds"
+            for unit, factor in _WRONG_UNITS.items()
+            if _PLAUSIBLE_S[0] <= self.start_ns / factor <= self.end_ns / factor < _PLAUSIBLE_S[1]
+        ]
+        years = (self.end_ns - self.start_ns) / _YEAR_NS
+        return [*found, f"its log times span {years:.0f} years"] if years > 1 else found
+
+    @property
     def is_annotated_copy(self) -> bool:
         """Whether this program wrote annotations into the file."""
         return RUN_METADATA in self.metadata
@@ -92,13 +108,22 @@ class Recording:
     def flight_id(self) -> str:
         """SHA-256 of the content in hex; of an annotated copy, that of the flight it belongs to.
 
-        Reads the whole file once. Raises RecordingError.
+        Reads the whole file once, and checks the CRC of the data section on the way where the file states
+        one. Raises RecordingError.
         """
         named = self.metadata.get(RUN_METADATA, {}).get("flight_id")
         if named:
             return named
-        with reading(self.path), self.path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        with reading(self.path) as file:
+            sha256, data_crc = _digest(file, self.layout.data_end if self.layout.data_crc else 0)
+        if data_crc != self.layout.data_crc:
+            self._lose("its data section does not match its CRC")
+        return sha256
+
+    def _lose(self, loss: str) -> None:
+        if self.strict:
+            raise RecordingError(self.path, loss, STRICT_REMEDY)
+        self.losses.append(loss)
 
     def message_counts(self) -> Counter[int]:
         """Messages per channel id, read from the chunks where nothing else tells. Raises RecordingError."""
@@ -130,6 +155,17 @@ def open_recording(path: Path, *, strict: bool = False) -> Recording:
     if strict and layout.losses:
         raise RecordingError(path, layout.losses[0], STRICT_REMEDY)
     return recording
+
+
+def _digest(file: RecordingFile, n_crc_bytes: int) -> tuple[str, int]:
+    """(SHA-256 of a file in hex, CRC-32 of its first `n_crc_bytes`)."""
+    sha256, crc = hashlib.sha256(), 0
+    for offset in range(0, file.size_bytes, _DIGEST_BYTES):
+        block = file.read(offset, min(_DIGEST_BYTES, file.size_bytes - offset))
+        sha256.update(block)
+        if offset < n_crc_bytes:
+            crc = zlib.crc32(memoryview(block)[: n_crc_bytes - offset], crc)
+    return sha256.hexdigest(), crc
 
 
 def _channel_summaries(file: RecordingFile, layout: Layout) -> tuple[ChannelSummary, ...]:

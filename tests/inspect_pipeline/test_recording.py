@@ -164,6 +164,39 @@ def test_flight_id_is_the_hash_of_the_content(tmp_path: Path) -> None:
     assert open_recording(copy).flight_id == open_recording(path).flight_id
 
 
+@pytest.mark.parametrize("strict", [False, True])
+def test_the_flight_id_checks_the_crc_of_unchunked_data(tmp_path: Path, strict: bool) -> None:
+    path = make_recording(tmp_path / "a.mcap", shots(5), use_chunking=False, enable_data_crcs=True)
+    assert open_recording(path).flight_id
+    content = bytearray(path.read_bytes())
+    content[content.index(b"latitude") + 2] ^= 1
+    path.write_bytes(content)
+    recording = open_recording(path, strict=strict)
+    if strict:
+        with pytest.raises(RecordingError, match="CRC"):
+            _ = recording.flight_id
+    else:
+        assert recording.flight_id == hashlib.sha256(content).hexdigest()
+        assert recording.losses == ["its data section does not match its CRC"]
+
+
+@pytest.mark.parametrize(
+    ("start_ns", "step_ns", "warnings"),
+    [
+        (START_NS, STEP_NS, []),
+        (0, STEP_NS, []),
+        (START_NS // 10**6, 500, ["its log times look like milliseconds instead of nanoseconds"]),
+        (START_NS, 400 * 86_400 * 10**9, ["its log times span 2 years"]),
+    ],
+)
+def test_odd_log_times_are_told(tmp_path: Path, start_ns: int, step_ns: int, warnings: list[str]) -> None:
+    to_write = shots(3, start_ns=start_ns, step_ns=step_ns)
+    path = make_recording(tmp_path / "a.mcap", to_write, n_gps_per_shot=0)
+    recording = open_recording(path)
+    assert recording.warnings == warnings
+    assert len(list(iter_frames(recording))) == 3
+
+
 def test_an_annotated_copy_belongs_to_the_flight_it_names(tmp_path: Path) -> None:
     metadata = {"lsnet_pipe.run": {"flight_id": "ab" * 32}}
     recording = open_recording(make_recording(tmp_path / "a.mcap", shots(2), metadata=metadata))
@@ -250,7 +283,7 @@ def test_of_a_truncated_file_the_prefix_is_read(tmp_path: Path, name: str) -> No
         assert [number_of(f.image) for f in frames] == list(range(len(frames)))
         assert len(recording.losses) == 1
         n_frames.append(len(frames))
-        with pytest.raises(RecordingError, match="--strict"):
+        with pytest.raises(RecordingError, match="strict the readable part"):
             open_recording(path, strict=True)
     assert n_frames == sorted(n_frames)
     assert n_frames[-1] == 12
@@ -267,7 +300,7 @@ def test_a_damaged_chunk_is_lost_and_the_rest_is_read(tmp_path: Path) -> None:
     assert 0 < len(frames) < 20
     assert len(recording.losses) == 1
     assert f"at byte {extent.offset:,}" in recording.losses[0]
-    with pytest.raises(RecordingError, match="--strict"):
+    with pytest.raises(RecordingError, match="strict the readable part"):
         list(iter_frames(open_recording(path, strict=True)))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from inspect_pipeline import images
@@ -23,18 +24,21 @@ _FORMS = frozenset({"compressed", "raw", "image", "image_raw", "image_color", "i
 def find_cameras(
     file: RecordingFile, layout: Layout, channels: Iterable[ChannelSummary]
 ) -> tuple[CameraChannel, ...]:
-    """The channels of colour images with messages. Of one camera in several forms, the fullest channel."""
-    by_camera: dict[str, ChannelSummary] = {}
-    for channel in channels:
-        if not channel.message_count and channel.message_count is not None:
-            continue
-        if not _is_image(channel) or not _is_colour(file, layout, channel):
-            continue
-        name = _camera_name(channel.topic)
-        known = by_camera.get(name)
-        if known is None or (channel.message_count or 0) > (known.message_count or 0):
-            by_camera[name] = channel
-    return tuple(_to_camera(channel) for channel in by_camera.values())
+    """The channels of colour images that have messages; of a camera in several forms, the fullest topic."""
+    pictures = [
+        channel
+        for channel in channels
+        if channel.message_count != 0 and _is_image(channel) and _is_colour(file, layout, channel)
+    ]
+    counts = Counter[str]()
+    for channel in pictures:
+        counts[channel.topic] += channel.message_count or 0
+    topics: dict[str, str] = {}
+    for topic in counts:
+        known = topics.setdefault(_camera_name(topic), topic)
+        if counts[topic] > counts[known]:
+            topics[_camera_name(topic)] = topic
+    return tuple(_to_camera(channel) for channel in pictures if channel.topic in topics.values())
 
 
 def select_cameras(recording: Recording, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:

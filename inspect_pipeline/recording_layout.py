@@ -122,8 +122,8 @@ def _walk(file: RecordingFile, known: Mapping[int, ChunkIndex]) -> Layout:
     """
     layout = Layout(load_record(file, Header, len(MAGIC)), data_end=len(MAGIC))
     try:
-        while (opcode := file.record_head(layout.data_end)[0]) != Opcode.DATA_END:
-            layout.data_end += _step(file, layout, opcode, known.get(layout.data_end))
+        while (head := file.record_head(layout.data_end))[0] != Opcode.DATA_END:
+            layout.data_end += _step(file, layout, *head, known.get(layout.data_end))
         layout.data_crc = load_record(file, DataEnd, layout.data_end).data_section_crc
     except Damage as damage:
         layout.losses.append(_lost_tail(damage, layout.data_end, file.size_bytes))
@@ -133,10 +133,9 @@ def _walk(file: RecordingFile, known: Mapping[int, ChunkIndex]) -> Layout:
     return layout
 
 
-def _step(file: RecordingFile, layout: Layout, opcode: int, chunk: ChunkIndex | None) -> int:
+def _step(file: RecordingFile, layout: Layout, opcode: int, length: int, chunk: ChunkIndex | None) -> int:
     """Note the record at `layout.data_end`; the number of bytes to the next. Raises Damage."""
     offset = layout.data_end
-    _, length = file.record_head(offset)
     size = RECORD_HEAD.size + length
     if chunk is not None:
         if (opcode, size) != (Opcode.CHUNK, chunk.chunk_length):

@@ -7,7 +7,7 @@ import factories
 import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording, number_of, shots
 from mcap.reader import NonSeekingReader
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording import iter_frames, open_recording, select_cameras
@@ -263,6 +263,28 @@ def test_a_camera_in_two_forms_is_taken_once(tmp_path: Path) -> None:
     recording = open_recording(make_recording(tmp_path / "a.mcap", to_write, encoding="ros2"))
     assert [c.topic for c in select_cameras(recording)] == ["/left/image_raw/compressed", "/right/image"]
     assert [c.topic for c in select_cameras(recording, ["/left/image_raw"])] == ["/left/image_raw"]
+
+
+def test_all_channels_of_a_topic_are_read(tmp_path: Path) -> None:
+    """As when a recorder starts a camera again under a new channel id."""
+    path = tmp_path / "a.mcap"
+    how = factories.ENCODINGS["ros2"]
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema_id = writer.register_schema(how.schema_name, how.schema_encoding, how.schema_data)
+        ids = [writer.register_channel(CAMERA, how.message_encoding, schema_id) for _ in range(2)]
+        for shot in shots(6):
+            payload = how.encode(shot.log_time_ns, "cam", factories.encoded_picture(shot.number))
+            writer.add_message(ids[shot.number // 4], shot.log_time_ns, payload, shot.log_time_ns)
+        writer.finish()
+    recording = open_recording(path)
+    assert [c.channel_id for c in recording.camera_channels] == ids
+    frames = list(iter_frames(recording))
+    assert [(f.channel_id, f.frame_idx, number_of(f.image)) for f in frames] == [
+        *((ids[0], i, i) for i in range(4)),
+        *((ids[1], i, i + 4) for i in range(2)),
+    ]
 
 
 def test_depth_is_no_camera(tmp_path: Path) -> None:

@@ -92,7 +92,8 @@ def _appearing(output: Path) -> Iterator[Path]:
     except OSError as error:
         raise QueryError(f"{output}: {error.strerror}; give another file with --output") from error
     finally:
-        path.unlink(missing_ok=True)
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def _write_file(job: dict[str, Any], timeout_s: float, path: Path) -> None:

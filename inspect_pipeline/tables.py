@@ -89,9 +89,8 @@ _FRAME_DTYPES = {
 
 def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
     """Apply the migrations that a database lacks, each in a transaction."""
-    for number, name in enumerate(
-        MIGRATIONS[count_migrations(connection) :], count_migrations(connection) + 1
-    ):
+    applied = count_migrations(connection)
+    for number, name in enumerate(MIGRATIONS[applied:], applied + 1):
         connection.begin()
         connection.execute(read_schema(name))
         connection.execute(

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
-app = typer.Typer(help="Keep the index in step with the flights of the store.", no_args_is_help=True)
+from inspect_pipeline.commands.options import StoreOption
 
-StoreOption = Annotated[
-    Path | None, typer.Option("--store", help="The store; else LSNET_PIPE_STORE, else ./inspections.")
-]
+app = typer.Typer(help="Keep the index in step with the flights of the store.", no_args_is_help=True)
 
 
 @app.command()

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from inspect_pipeline.commands.options import StoreOption
+
 
 class OutputFormat(StrEnum):
     """What `--format` takes."""
@@ -20,9 +22,7 @@ class OutputFormat(StrEnum):
 
 def query(
     sql: Annotated[str, typer.Argument(metavar="SQL", help="One reading statement, in quotes.")],
-    store: Annotated[
-        Path | None, typer.Option(help="The store; else LSNET_PIPE_STORE, else ./inspections.")
-    ] = None,
+    store: StoreOption = None,
     output_format: Annotated[
         OutputFormat, typer.Option("--format", help="How to write the rows.")
     ] = OutputFormat.table,

@@ -1,0 +1,76 @@
+"""The command line: mounts the commands of inspect_pipeline, and turns every error into one line."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from inspect_pipeline.commands import doctor, index, info, overlay, process, query, simulate
+from inspect_pipeline.errors import InspectError
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+app = typer.Typer(
+    name="lsnet-pipe",
+    help="Find power lines in MCAP recordings, write them back as annotations, ask for them in SQL.",
+    epilog="Example: lsnet-pipe process flight.mcap",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.command()(process.process)
+app.command()(query.query)
+app.command()(info.info)
+app.command()(overlay.overlay)
+app.command()(simulate.simulate)
+app.command()(doctor.doctor)
+app.add_typer(index.app, name="index")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"lsnet-pipe {version('lsnet-pipe')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _before_command(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit."),
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line; the exit code is that of the error that ended it."""
+    for signal_number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signal_number, _stop)
+    try:
+        app()
+    except Exception as error:
+        message = _to_message(error)
+        if message is None:
+            raise
+        typer.echo(f"error: {message}", err=True)
+        sys.exit(getattr(error, "exit_code", 1))
+
+
+def _stop(signal_number: int, _frame: FrameType | None) -> None:
+    """End as after an error: what was begun is cleaned up on the way out."""
+    sys.exit(128 + signal_number)
+
+
+def _to_message(error: Exception) -> str | None:
+    """The line for an error that users can meet; None for a fault of the program."""
+    lsnet = sys.modules.get("lsnet")  # slow to import, and not needed to raise what it has not raised
+    if isinstance(error, InspectError) or (lsnet and isinstance(error, lsnet.LSNetError)):
+        return str(error)
+    return None

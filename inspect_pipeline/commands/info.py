@@ -1,0 +1,54 @@
+"""`lsnet-pipe info`."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from inspect_pipeline.recording import Recording
+
+
+def info(file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording (MCAP).")]) -> None:
+    """Show what a recording holds, and what `process` would make of it.
+
+    Example: lsnet-pipe info flight.mcap
+    """
+    from inspect_pipeline.recording import open_recording
+
+    for line in _describe(open_recording(file)):
+        typer.echo(line)
+
+
+def _describe(recording: Recording) -> Iterator[str]:
+    counts = recording.message_counts()
+    duration_s = (recording.end_ns - recording.start_ns) / 1e9
+    yield f"file      {recording.path} ({recording.size_bytes:,} bytes)"
+    yield f"flight    {recording.flight_id}"
+    if counts:
+        yield f"time      {_to_utc(recording.start_ns)} to {_to_utc(recording.end_ns)} UTC, {duration_s:.1f} s"
+    yield f"profile   {recording.profile or 'none'}"
+    yield f"channels  {len(recording.channels)}"
+    for channel in recording.channels:
+        schema = f"{channel.schema_name or 'no schema'}, {channel.message_encoding or 'no encoding'}"
+        yield f"  {channel.topic}: {counts[channel.channel_id]:,} messages ({schema})"
+    for loss in recording.losses:
+        yield f"damaged   {loss}"
+    yield f"process   {_intention(recording)}"
+
+
+def _intention(recording: Recording) -> str:
+    if recording.is_annotated_copy:
+        return "nothing: this is an annotated copy"
+    if not recording.camera_channels:
+        return "nothing: there is no camera topic"
+    return ", ".join(camera.topic for camera in recording.camera_channels)
+
+
+def _to_utc(time_ns: int) -> str:
+    return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S}"

@@ -1,0 +1,39 @@
+"""Options that several commands share, and how their values are read."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def parse_time_ns(text: str) -> int:
+    """Nanoseconds since 1970 UTC, given as such or as an ISO 8601 time; without a zone it is in UTC."""
+    if text.isdecimal():
+        return int(text)
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError:
+        raise typer.BadParameter(
+            f"{text!r} is neither nanoseconds nor a time like 2026-05-04T09:30:00Z"
+        ) from None
+    elapsed = (time if time.tzinfo else time.replace(tzinfo=UTC)) - _EPOCH
+    return (elapsed.days * 86_400 + elapsed.seconds) * 10**9 + elapsed.microseconds * 1000
+
+
+StoreOption = Annotated[
+    Path | None,
+    typer.Option("--store", metavar="DIR", help="The store; else LSNET_PIPE_STORE, else ./inspections."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+WeightsOption = Annotated[str, typer.Option(metavar="NAME|FILE", help="Weights by name or by file.")]
+ScaleOption = Annotated[
+    float | None, typer.Option(min=0.05, max=4.0, metavar="FACTOR", help="Size at which to look, 1 for that of the image.")
+]
+MinScoreOption = Annotated[
+    float | None, typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Least score of a segment; else the weights' own.")
+]

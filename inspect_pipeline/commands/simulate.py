@@ -1,0 +1,33 @@
+"""`lsnet-pipe simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    """(height, width) of a text like 1280x720."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 64):
+        raise typer.BadParameter(f"{text!r} is not a size like 1280x720, of at least 64 px")
+    return int(height), int(width)
+
+
+def simulate(
+    target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to make (MCAP).")],
+    seconds: Annotated[float, typer.Option(min=0.1, help="Length of the flight.")] = 20.0,
+    fps: Annotated[float, typer.Option(min=0.1, help="Images per second.")] = 2.0,
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Of the images, in px.")] = "1280x720",
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another landscape and line.")] = 0,
+) -> None:
+    """Make a recording of a drawn flight along a power line, and beside it the truth as FILE.truth.json.
+
+    Example: lsnet-pipe simulate demo.mcap --seconds 10
+    """
+    from inspect_pipeline.simulate import SimulationOptions, simulate_flight
+
+    truth = simulate_flight(target, SimulationOptions(seconds, fps, _parse_size(size), seed))
+    typer.echo(f"{target}\n{truth}")

@@ -1,0 +1,91 @@
+"""What a run was asked to do, and how that is written down: the options, their hash, the records of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import uuid
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from inspect_pipeline.flight import ModelRecord, RunRecord
+from inspect_pipeline.resources import MIGRATIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lsnet import Detector
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessOptions:
+    """What to make of a recording.
+
+    topics: the cameras, None for all; every: of each camera every N-th frame; start_ns <= log time < end_ns.
+    strict: refuse a damaged recording instead of processing the part that can be read.
+    force: process again what the store already has.
+    """
+
+    topics: tuple[str, ...] | None = None
+    every: int = 1
+    start_ns: int | None = None
+    end_ns: int | None = None
+    strict: bool = True
+    force: bool = False
+
+
+def start_run(detector: Detector, options: ProcessOptions) -> RunRecord:
+    """The record of a run that begins now. Its hash is the same whenever its results would be."""
+    config: dict[str, Any] = {
+        "detector": detector.describe(),
+        "topics": sorted(options.topics) if options.topics is not None else None,
+        "every": options.every,
+        "start_ns": options.start_ns,
+        "end_ns": options.end_ns,
+        "schema_version": len(MIGRATIONS),
+    }
+    return RunRecord(
+        run_id=str(uuid.uuid4()),
+        started_at=datetime.now(UTC),
+        host=platform.node(),
+        app_version=version("lsnet-pipe"),
+        config_sha256=_sha256(config),
+        config=config,
+    )
+
+
+def model_record(detector: Detector) -> ModelRecord:
+    """The record of the weights that a detector runs."""
+    description = detector.describe()
+    fields: dict[str, Any] = {
+        "name": str(description["weights"]),
+        "preset": str(description["preset"]),
+        "weights_sha256": str(description["weights_sha256"]),
+        "score_threshold": float(description["min_score"]),
+    }
+    return ModelRecord(model_id=f"{fields['name']}-{_sha256(fields)[:12]}", **fields)
+
+
+def run_metadata(flight_id: str, run: RunRecord, model: ModelRecord) -> dict[str, str]:
+    """The `lsnet_pipe.run` metadata of an annotated copy."""
+    return {
+        "flight_id": flight_id,
+        "app_version": run.app_version,
+        "run_id": run.run_id,
+        "started_at": run.started_at.isoformat(),
+        "weights": model.name,
+        "weights_sha256": model.weights_sha256,
+        "config_sha256": run.config_sha256,
+        "config": _canonical(run.config),
+    }
+
+
+def _canonical(value: Mapping[str, Any]) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))
+
+
+def _sha256(value: Mapping[str, Any]) -> str:
+    return hashlib.sha256(_canonical(value).encode()).hexdigest()

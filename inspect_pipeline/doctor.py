@@ -1,0 +1,68 @@
+"""Whether the program can work here: versions, the detector's backend, the state of the store."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+from inspect_pipeline.errors import InspectError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from inspect_pipeline.store import Store
+
+_PACKAGES = ("torch", "openvino", "duckdb", "mcap", "opencv-python-headless", "numpy")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found about one thing, and whether the program can work with it."""
+
+    subject: str
+    state: str
+    is_ok: bool = True
+
+
+def examine(store: Store) -> Iterator[Finding]:
+    """All findings, those that take longest last."""
+    yield Finding("lsnet-pipe", version("lsnet-pipe"))
+    yield Finding("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    for package in _PACKAGES:
+        yield Finding(package, _version_of(package))
+    yield _examine_store(store)
+    yield _examine_detector()
+
+
+def _version_of(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _examine_store(store: Store) -> Finding:
+    if not store.root.exists():
+        return Finding("store", f"{store.root}: none yet; lsnet-pipe process makes it")
+    try:
+        flights, damaged = store.scan()
+    except InspectError as error:
+        return Finding("store", str(error), is_ok=False)
+    free_gib = shutil.disk_usage(store.root).free / 2**30
+    state = f"{store.root}: {len(flights)} flights, {len(damaged)} damaged, {free_gib:.1f} GiB free"
+    if flights and not store.index_path.exists():
+        return Finding("store", f"{state}, no index; run lsnet-pipe index rebuild", is_ok=False)
+    return Finding("store", state, is_ok=not damaged)
+
+
+def _examine_detector() -> Finding:
+    from lsnet import Detector, LSNetError  # noqa: PLC0415 - seconds to import
+
+    try:
+        description = Detector.load().describe()
+    except LSNetError as error:
+        return Finding("detector", str(error), is_ok=False)
+    return Finding("detector", ", ".join(f"{name} {value}" for name, value in description.items()))

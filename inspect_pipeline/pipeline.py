@@ -1,0 +1,198 @@
+"""The one path: a recording in; annotations in a copy of it and rows in the store out.
+
+    recording ─ iter_frames ─ batches, decoded one ahead ─ detect ─┬─ annotated.mcap
+                                                                   └─ frames, segments, lines.parquet
+"""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, NamedTuple
+
+from inspect_pipeline.annotations import FrameAnnotator
+from inspect_pipeline.config import model_record, run_metadata
+from inspect_pipeline.flight import FlightRecord
+from inspect_pipeline.quality import ImageQuality, measure_quality
+from inspect_pipeline.recording import RUN_METADATA, iter_frames, open_recording, select_cameras
+from inspect_pipeline.tables import FlightWriter
+from inspect_pipeline.types import ProcessResult
+from inspect_pipeline.writeback import annotated_copy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
+
+    from inspect_pipeline.config import ProcessOptions
+    from inspect_pipeline.flight import FlightTotals, ModelRecord, RunRecord
+    from inspect_pipeline.recording import Recording
+    from inspect_pipeline.store import Store
+    from inspect_pipeline.types import Frame
+    from lsnet import Detections, Detector
+
+ANNOTATED = "annotated.mcap"
+_BATCH_FRAMES = 8
+_BATCH_BYTES = 48 << 20  # of pixels; two batches are in memory at a time
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a recording is processed; `n_expected` is None where only the end will tell."""
+
+    n_frames: int
+    n_expected: int | None
+
+
+def process(
+    path: Path,
+    store: Store,
+    detector: Detector,
+    options: ProcessOptions,
+    run: RunRecord,
+    on_progress: Callable[[Progress], object] = lambda _: None,
+) -> ProcessResult:
+    """Find the segments of a recording and keep them in the store, whole or not at all.
+
+    An annotated copy is skipped, and so is a flight that the store has by the same model and config. The
+    index is left to `index.publish`. Raises RecordingError, StoreError.
+    """
+    started = time.monotonic()
+    recording = open_recording(path, strict=options.strict)
+    if recording.is_annotated_copy:
+        return ProcessResult(recording.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
+    select_cameras(recording, options.topics)
+    known = store.load_flight(recording.flight_id)
+    if known and known.run.config_sha256 == run.config_sha256 and not options.force:
+        return replace(_to_result(known, path, store, started), status="skipped")
+    model = model_record(detector)
+    metadata = run_metadata(recording.flight_id, run, model)
+    with store.write_flight(recording.flight_id) as staging:
+        seen = _look(recording, detector, options, on_progress)
+        totals = _write(recording, staging.path, metadata, seen)
+        record = _to_record(recording, options, run, model, totals)
+        staging.commit(record)
+    return _to_result(record, path, store, started)
+
+
+class _Seen(NamedTuple):
+    """A frame with what was measured and found in it, None where it could not be decoded."""
+
+    frame: Frame
+    quality: ImageQuality | None
+    detections: Detections | None = None
+    infer_ms: float | None = None
+
+
+def _look(
+    recording: Recording,
+    detector: Detector,
+    options: ProcessOptions,
+    on_progress: Callable[[Progress], object],
+) -> Iterator[_Seen]:
+    """Every frame with its detections."""
+    frames = iter_frames(recording, options.topics, options.every, options.start_ns, options.end_ns)
+    n_frames, n_expected = 0, _expected_frames(recording, options)
+    for batch in _one_ahead(_batched(frames)):
+        yield from _detect(detector, batch)
+        n_frames += len(batch)
+        on_progress(Progress(n_frames, n_expected))
+
+
+def _batched(frames: Iterable[Frame]) -> Iterator[list[_Seen]]:
+    """Decoded frames with their quality, a few at a time: bounded in number and in bytes."""
+    batch: list[_Seen] = []
+    n_bytes = 0
+    for frame in frames:
+        batch.append(_Seen(frame, measure_quality(frame.image) if frame.image is not None else None))
+        n_bytes += frame.image.nbytes if frame.image is not None else 0
+        if len(batch) == _BATCH_FRAMES or n_bytes >= _BATCH_BYTES:
+            yield batch
+            batch, n_bytes = [], 0
+    if batch:
+        yield batch
+
+
+def _one_ahead(batches: Iterator[list[_Seen]]) -> Iterator[list[_Seen]]:
+    """The same batches, the next one made in a thread while the current one is used."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, batches, None)
+        while (batch := coming.result()) is not None:
+            coming = pool.submit(next, batches, None)
+            yield batch
+
+
+def _detect(detector: Detector, batch: list[_Seen]) -> list[_Seen]:
+    """The batch with detections, at the mean time per image."""
+    images = [seen.frame.image for seen in batch if seen.frame.image is not None]
+    started = time.perf_counter()
+    found = iter(detector.detect(images) if images else [])
+    infer_ms = (time.perf_counter() - started) * 1e3 / max(len(images), 1)
+    return [
+        seen if seen.quality is None else seen._replace(detections=next(found), infer_ms=infer_ms)
+        for seen in batch
+    ]
+
+
+def _write(
+    recording: Recording, folder: Path, metadata: dict[str, str], seen_frames: Iterable[_Seen]
+) -> FlightTotals:
+    """Write every frame to an annotated copy and to tables in `folder`."""
+    with (
+        annotated_copy(recording, folder / ANNOTATED) as copy,
+        FlightWriter(folder, recording.flight_id) as tables,
+    ):
+        copy.add_metadata(RUN_METADATA, metadata)
+        annotator = FrameAnnotator(copy)
+        for seen in seen_frames:
+            annotator.write(seen.frame, seen.detections)
+            tables.add_frame(
+                seen.frame,
+                seen.detections,
+                infer_ms=seen.infer_ms,
+                sharpness=seen.quality.sharpness if seen.quality else None,
+                mean_luma=seen.quality.mean_luma if seen.quality else None,
+            )
+        return tables.finish()
+
+
+def _expected_frames(recording: Recording, options: ProcessOptions) -> int | None:
+    counts = [camera.message_count for camera in select_cameras(recording, options.topics)]
+    if options.start_ns is not None or options.end_ns is not None:
+        return None
+    return sum(-(-count // options.every) for count in counts if count) if all(counts) else None
+
+
+def _to_record(
+    recording: Recording,
+    options: ProcessOptions,
+    run: RunRecord,
+    model: ModelRecord,
+    totals: FlightTotals,
+) -> FlightRecord:
+    return FlightRecord(
+        flight_id=recording.flight_id,
+        source_uri=recording.path.absolute().as_uri(),
+        source_bytes=recording.size_bytes,
+        status="recovered" if recording.losses else "ok",
+        reason="; ".join(recording.losses) or None,
+        ingested_at=datetime.now(UTC),
+        run=run,
+        model=model,
+        channels=select_cameras(recording, options.topics),
+        totals=totals,
+    )
+
+
+def _to_result(record: FlightRecord, path: Path, store: Store, started: float) -> ProcessResult:
+    return ProcessResult(
+        flight_id=record.flight_id,
+        source=str(path),
+        status=record.status,
+        annotated=store.flight_dir(record.flight_id) / ANNOTATED,
+        n_frames=record.totals.n_frames,
+        n_bad_frames=record.totals.n_bad_frames,
+        n_segments=record.totals.n_segments,
+        seconds=round(time.monotonic() - started, 3),
+    )

@@ -1,0 +1,38 @@
+"""How usable a picture is: sharpness and brightness, measured on a copy of bounded size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_MAX_SIDE_PX = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class ImageQuality:
+    """sharpness: variance of the Laplacian of luma; mean_luma: 0 to 255."""
+
+    sharpness: float
+    mean_luma: float
+
+
+def measure_quality(image: NDArray[np.uint8]) -> ImageQuality:
+    """The quality of a uint8 RGB image, shrunk to a longer side of 1024 px when it is larger."""
+    luma = cv2.cvtColor(_shrink(image), cv2.COLOR_RGB2GRAY)
+    laplacian = cv2.Laplacian(luma, cv2.CV_32F)
+    return ImageQuality(sharpness=float(laplacian.var()), mean_luma=float(luma.mean()))
+
+
+def _shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    scale = _MAX_SIDE_PX / max(image.shape)
+    if scale >= 1:
+        return image
+    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(
+        np.uint8, copy=False
+    )

@@ -1,0 +1,102 @@
+"""The drawn ground: meadow, bare soil, a road across and a track along, as one picture that repeats."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+TEXEL_M = 0.04
+TILE_TEXELS = (2048, 4096)  # y, x
+TILE_M = (TILE_TEXELS[0] * TEXEL_M, TILE_TEXELS[1] * TEXEL_M)
+
+_DARK_GRASS, _LIGHT_GRASS, _STRAW = (46, 62, 30), (104, 122, 62), (158, 150, 98)  # RGB
+_SOIL, _ASPHALT, _GRAVEL, _PAINT = (134, 108, 80), (112, 112, 114), (150, 140, 122), (205, 205, 200)
+_ROAD_X_M, _ROAD_HALF_M = 62.0, 2.9
+_TRACK_Y_M, _RUT_M = 8.5, 0.8
+
+
+def draw_ground(rng: np.random.Generator) -> NDArray[np.uint8]:
+    """The RGB picture of a tile of ground: row i is y = i * TEXEL_M, column j is x = j * TEXEL_M."""
+    y, x = (np.arange(n) * TEXEL_M for n in TILE_TEXELS)
+    x, y = x[np.newaxis, :], y[:, np.newaxis]
+    broad, tufts, blades = (_noise(rng, *band) for band in ((4.0, 60.0), (0.4, 4.0), (0.06, 0.5)))
+    ground = _mix(_flat(_DARK_GRASS), _LIGHT_GRASS, 0.5 + 0.14 * broad + 0.18 * tufts + 0.2 * blades)
+    ground = _mix(ground, _STRAW, _step(_noise(rng, 1.5, 25.0) + 0.5 * tufts + 0.35 * blades, 0.9, 2.0) * 0.75)
+    ground = _mix(ground, _SOIL, _step(_noise(rng, 2.0, 40.0) + 0.4 * tufts, 1.5, 1.9) * 0.85)
+    ground = _add_track(ground, x, y, tufts, blades)
+    ground = _add_road(ground, x, y, tufts, blades)
+    ground *= (1 + 0.06 * _noise(rng, 15.0, 80.0) + 0.05 * _noise(rng, 0.05, 0.2))[..., np.newaxis]
+    return np.clip(ground, 0, 255).astype(np.uint8)
+
+
+def ground_to_texels() -> NDArray[np.float64]:
+    """(3, 3) from homogeneous x, y in m to homogeneous texels; OpenCV counts from the centre of the first."""
+    return np.array([[1 / TEXEL_M, 0, -0.5], [0, 1 / TEXEL_M, -0.5], [0, 0, 1]])
+
+
+def _noise(rng: np.random.Generator, shortest_m: float, longest_m: float) -> NDArray[np.float32]:
+    """Noise of mean 0 and variance 1 with wavelengths in a band, as strong at each octave; it tiles."""
+    rows, columns = TILE_TEXELS
+    fy, fx = np.fft.fftfreq(rows, TEXEL_M)[:, np.newaxis], np.fft.rfftfreq(columns, TEXEL_M)[np.newaxis, :]
+    frequency = np.hypot(fx, fy)
+    frequency[0, 0] = np.inf
+    band = np.exp(-((frequency * shortest_m) ** 4)) * (1 - np.exp(-((frequency * longest_m) ** 4))) / frequency
+    spectrum = np.fft.rfft2(rng.standard_normal(TILE_TEXELS, np.float32)) * band
+    noise = np.fft.irfft2(spectrum, TILE_TEXELS)
+    return (noise / noise.std()).astype(np.float32)
+
+
+def _add_road(
+    ground: NDArray[np.float32],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    tufts: NDArray[np.float32],
+    blades: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """An asphalt road across the line, with worn edges and a dashed middle."""
+    off_m = np.abs(x - _ROAD_X_M - 3 * np.sin(2 * np.pi * y / TILE_M[0]))
+    ragged_m = off_m + 0.12 * tufts + 0.05 * blades
+    ground = _mix(ground, _GRAVEL, _step(-ragged_m, -_ROAD_HALF_M - 0.9, -_ROAD_HALF_M - 0.2))
+    asphalt = _mix(_flat(_ASPHALT), _GRAVEL, 0.12 + 0.05 * tufts + 0.07 * blades)
+    ground = _mix(ground, asphalt, _step(-ragged_m, -_ROAD_HALF_M - 0.15, -_ROAD_HALF_M + 0.05))
+    is_dash = (y / 2.56 % 2 < 1) & (off_m < 0.06)
+    return _mix(ground, _PAINT, cv2.GaussianBlur(is_dash.astype(np.float32), None, 0.7) * 0.8)
+
+
+def _add_track(
+    ground: NDArray[np.float32],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    tufts: NDArray[np.float32],
+    blades: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """The two ruts of a field track beside the line."""
+    off_m = np.abs(y - _TRACK_Y_M - 1.4 * np.sin(4 * np.pi * x / TILE_M[1]))
+    rut_m = np.abs(off_m - _RUT_M) + 0.08 * tufts + 0.05 * blades
+    return _mix(ground, _GRAVEL, _step(-rut_m, -0.5, -0.1) * 0.85)
+
+
+def _flat(colour: tuple[int, int, int]) -> NDArray[np.float32]:
+    return np.full((*TILE_TEXELS, 3), colour, np.float32)
+
+
+def _mix(
+    below: NDArray[np.float32],
+    above: tuple[int, int, int] | NDArray[np.float32],
+    share: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """`below` covered by `above` to a share in [0, 1] of each texel."""
+    clipped = np.clip(share, 0, 1)[..., np.newaxis].astype(np.float32)
+    mixed: NDArray[np.float32] = below + (np.asarray(above, np.float32) - below) * clipped
+    return mixed
+
+
+def _step(value: NDArray[np.floating], low: float, high: float) -> NDArray[np.floating]:
+    """0 below `low`, 1 above `high`, smooth between."""
+    t = np.clip((value - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)

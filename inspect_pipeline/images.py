@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.image_messages import RawLayout
 
-__all__ = ["ImageError", "ImageMessage", "decode", "is_colour", "is_image", "parse"]
+__all__ = ["ImageError", "ImageMessage", "decode", "is_image", "parse", "refusal"]
 
 _MAX_PIXELS = 256 << 20  # a header that claims more is damage or an attack
 _VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")
@@ -59,18 +59,24 @@ _RAW = {
 }
 
 
-def is_colour(message: ImageMessage, topic: str) -> bool:
-    """Whether the images of a topic are pictures that can be decoded, not distances, by one of them."""
-    if message.raw is not None:
-        is_distance = message.encoding in {"16UC1", "mono16"} and "depth" in topic.lower()
-        return message.encoding in _RAW and not is_distance
-    return "compresseddepth" not in message.encoding.lower() and not topic.endswith("/compressedDepth")
+def refusal(message: ImageMessage, topic: str) -> str | None:
+    """Why the images of a topic are not processed, by one of them; None when they are pictures."""
+    encoding = message.encoding
+    if message.raw is None:
+        if "compresseddepth" in encoding.lower() or topic.endswith("/compressedDepth"):
+            return "it holds distances"
+        return "it holds video" if _is_video(message.data) else None
+    if encoding == "32FC1" or (encoding in {"16UC1", "mono16"} and "depth" in topic.lower()):
+        return "it holds distances"
+    return None if encoding in _RAW else f"its pixel encoding {encoding!r} is not known"
 
 
 def decode(message: ImageMessage) -> NDArray[np.uint8]:
     """The pixels as stored, EXIF orientation ignored: uint8 (height, width, 3) RGB. Raises ImageError."""
     if not message.data:
         raise ImageError("the image is empty")
+    if message.raw is None and _is_video(message.data):
+        raise ImageError("the image is a piece of video")
     try:
         if message.raw is None:
             return _decode_compressed(np.frombuffer(message.data, np.uint8))
@@ -79,9 +85,12 @@ def decode(message: ImageMessage) -> NDArray[np.uint8]:
         raise ImageError("the image cannot be decoded") from error
 
 
+def _is_video(data: bytes | memoryview) -> bool:
+    """Whether data begin as H.264 and H.265 streams do."""
+    return bytes(data[:4]).startswith(_VIDEO_START_CODES)
+
+
 def _decode_compressed(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if data[:4].tobytes().startswith(_VIDEO_START_CODES):
-        raise ImageError("the image is a piece of video")
     if _claimed_pixels(memoryview(data.data)) > _MAX_PIXELS:
         raise ImageError(f"the image claims more than {_MAX_PIXELS >> 20} megapixels")
     image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)

@@ -66,6 +66,7 @@ class Recording:
 
     start_ns, end_ns: first and last log time, both 0 without messages.
     camera_channels: the colour cameras, each once, in the order of their topics.
+    refusals: topics of images that are no cameras, and why.
     metadata: the Metadata records by name.
     losses: one phrase per part that cannot be read; grows while frames are read.
     layout: where the records lie, for those who append to the file.
@@ -79,6 +80,7 @@ class Recording:
     end_ns: int
     channels: tuple[ChannelSummary, ...]
     camera_channels: tuple[CameraChannel, ...]
+    refusals: Mapping[str, str]
     metadata: Mapping[str, Mapping[str, str]]
     n_attachments: int
     layout: Layout
@@ -138,6 +140,7 @@ def open_recording(path: Path, *, strict: bool = False) -> Recording:
     with reading(path) as file:
         layout = read_layout(file)
         channels = _channel_summaries(file, layout)
+        cameras, refusals = find_cameras(file, layout, channels)
         extents = [e for e in layout.extents if e.channel_ids is None or e.channel_ids]
         recording = Recording(
             path=path,
@@ -147,7 +150,8 @@ def open_recording(path: Path, *, strict: bool = False) -> Recording:
             start_ns=min((e.start_ns for e in extents), default=0),
             end_ns=max((e.end_ns for e in extents), default=0),
             channels=channels,
-            camera_channels=find_cameras(file, layout, channels),
+            camera_channels=cameras,
+            refusals=refusals,
             metadata=_read_metadata(file, layout),
             n_attachments=len(layout.attachments),
             layout=layout,

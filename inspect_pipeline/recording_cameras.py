@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import TYPE_CHECKING
 
@@ -23,13 +24,24 @@ _FORMS = frozenset({"compressed", "raw", "image", "image_raw", "image_color", "i
 
 def find_cameras(
     file: RecordingFile, layout: Layout, channels: Iterable[ChannelSummary]
-) -> tuple[CameraChannel, ...]:
-    """The channels of colour images that have messages; of a camera in several forms, the fullest topic."""
-    pictures = [
-        channel
-        for channel in channels
-        if channel.message_count != 0 and _is_image(channel) and _is_colour(file, layout, channel)
-    ]
+) -> tuple[tuple[CameraChannel, ...], dict[str, str]]:
+    """The channels of colour images that have messages, and why other topics of images are refused.
+
+    Of a camera in several forms only the fullest topic is taken.
+    """
+    pictures, refusals = [], {}
+    for channel in channels:
+        if channel.message_count == 0:
+            continue
+        if reason := _refusal(file, layout, channel):
+            refusals[channel.topic] = reason
+        elif _is_image(channel):
+            pictures.append(channel)
+    taken = _one_topic_per_camera(pictures)
+    return tuple(_to_camera(channel) for channel in pictures if channel.topic in taken), refusals
+
+
+def _one_topic_per_camera(pictures: Iterable[ChannelSummary]) -> Collection[str]:
     counts = Counter[str]()
     for channel in pictures:
         counts[channel.topic] += channel.message_count or 0
@@ -38,7 +50,7 @@ def find_cameras(
         known = topics.setdefault(_camera_name(topic), topic)
         if counts[topic] > counts[known]:
             topics[_camera_name(topic)] = topic
-    return tuple(_to_camera(channel) for channel in pictures if channel.topic in topics.values())
+    return topics.values()
 
 
 def select_cameras(recording: Recording, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:
@@ -77,16 +89,19 @@ def _camera_name(topic: str) -> str:
     return "/".join(parts)
 
 
-def _is_colour(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> bool:
-    """Whether the first image of a channel is a picture; one that cannot be read is taken for one."""
+def _refusal(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> str | None:
+    """Why a channel of images is not processed, by its first one; one that cannot be read is no reason."""
+    if not _is_image(channel):
+        is_alike = re.search(r"(Image|Video)$", channel.schema_name)
+        return f"{channel.schema_name} in {channel.message_encoding} is not read" if is_alike else None
     payload = _first_payload(file, layout, channel.channel_id)
     if payload is None:
-        return True
+        return None
     try:
         message = images.parse(channel.schema_name, channel.message_encoding, payload)
     except images.ImageError:
-        return True
-    return images.is_colour(message, channel.topic)
+        return None
+    return images.refusal(message, channel.topic)
 
 
 def _first_payload(file: RecordingFile, layout: Layout, channel_id: int) -> memoryview | None:
@@ -105,8 +120,8 @@ def _first_payload(file: RecordingFile, layout: Layout, channel_id: int) -> memo
 
 
 def _what_it_has(recording: Recording) -> str:
-    """What a recording without a camera has instead: channels that sound like images, or any."""
-    seen = [c for c in recording.channels if "image" in c.schema_name.lower()] or recording.channels
-    if not seen:
-        return "it has no channels at all"
-    return "it has " + ", ".join(f"{c.topic} ({c.schema_name}, {c.message_encoding})" for c in seen[:5])
+    """What a recording without a camera has instead: topics of images and why they are refused, or others."""
+    if recording.refusals:
+        return "; ".join(f"{topic}: {reason}" for topic, reason in recording.refusals.items())
+    topics = [channel.topic for channel in recording.channels[:5]]
+    return f"its topics: {', '.join(topics) or 'none'}"

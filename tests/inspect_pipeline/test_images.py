@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from factories import ENCODINGS, RAW_ENCODINGS, RawPixels, encoded_picture, make_recording, number_of, picture
 
-from inspect_pipeline.images import ImageError, ImageMessage, decode, is_colour, is_image, parse
+from inspect_pipeline.images import ImageError, ImageMessage, decode, is_image, parse, refusal
 from inspect_pipeline.recording import iter_frames, open_recording
 
 STAMP_NS = 1_700_000_000_123_456_789
@@ -176,16 +176,19 @@ def test_a_raw_image_smaller_than_it_says_is_an_image_error() -> None:
     np.testing.assert_array_equal(decode_raw(image._replace(step_bytes=0)), picture(1))
 
 
-def test_distances_are_no_colours() -> None:
+def test_what_is_not_processed_and_why() -> None:
     def ros_image(encoding: str) -> ImageMessage:
         payload = factories.ros2_cdr(0, "", RawPixels(encoding, 1, 1, 4, b"1234"))
         return parse("sensor_msgs/msg/Image", "cdr", memoryview(payload))
 
-    assert is_colour(ros_image("16UC1"), "/thermal/image_raw")
-    assert not is_colour(ros_image("16UC1"), "/camera/depth/image_rect")
-    assert not is_colour(ros_image("32FC1"), "/camera/image")
-    assert not is_colour(ros_image("invented"), "/camera/image")
-    assert not is_colour(message(b"", "16UC1; compressedDepth png"), "/camera/image")
+    assert refusal(ros_image("16UC1"), "/thermal/image_raw") is None
+    assert refusal(ros_image("bgr8"), "/camera/depth/color") is None
+    assert refusal(ros_image("16UC1"), "/camera/depth/image_rect") == "it holds distances"
+    assert refusal(ros_image("32FC1"), "/camera/image") == "it holds distances"
+    assert refusal(ros_image("invented"), "/camera/image") == "its pixel encoding 'invented' is not known"
+    assert refusal(message(b"", "16UC1; compressedDepth png"), "/camera/image") == "it holds distances"
+    assert refusal(message(b"\0\0\0\1\x67"), "/camera/image") == "it holds video"
+    assert refusal(message(encoded_picture(1)), "/camera/image") is None
     with pytest.raises(ImageError, match="'invented' is not known"):
         decode(ros_image("invented"))
 

@@ -258,6 +258,19 @@ def test_no_camera_topic_is_refused_at_the_call(tmp_path: Path) -> None:
         iter_frames(open_recording(path), topics=["/thermal"])
 
 
+def test_why_images_are_refused_is_told(tmp_path: Path) -> None:
+    video = [shot._replace(data=b"\0\0\0\1\x67 h264") for shot in shots(2)]
+    path = make_recording(tmp_path / "a.mcap", video)
+    assert open_recording(path).refusals == {CAMERA: "it holds video"}
+    with pytest.raises(RecordingError, match=f"no camera topic; {CAMERA}: it holds video"):
+        iter_frames(open_recording(path))
+    how = factories.ENCODINGS["json"]
+    unknown = factories.Encoding("foxglove.CompressedVideo", "jsonschema", b"{}", "json", how.encode)
+    path = make_recording(tmp_path / "b.mcap", shots(2), encoding=unknown)
+    with pytest.raises(RecordingError, match=r"foxglove\.CompressedVideo in json is not read"):
+        iter_frames(open_recording(path))
+
+
 def test_a_camera_in_two_forms_is_taken_once(tmp_path: Path) -> None:
     to_write = shots(5, "/left/image_raw/compressed") + shots(3, "/left/image_raw") + shots(4, "/right/image")
     recording = open_recording(make_recording(tmp_path / "a.mcap", to_write, encoding="ros2"))

@@ -5,6 +5,7 @@ InspectError
 ├── StoreError           a store that cannot be read or written
 │   ├── StoreBusyError       exit 11
 │   └── StoreVersionError    exit 12
+├── OutputError          a file that cannot be written where it was asked for
 ├── QueryError           an SQL statement that is refused or fails
 └── DetectorError        weights, images or training data that cannot be used
 """
@@ -51,6 +52,14 @@ class StoreVersionError(StoreError):
     """Raised when a store was written by a newer version of this program."""
 
     exit_code = 12
+
+
+class OutputError(InspectError):
+    """Raised when a file cannot be written: `path: problem; remedy`."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(f"{path}: {problem}; {remedy}")
+        self.path, self.problem, self.remedy = path, problem, remedy
 
 
 class QueryError(InspectError):

@@ -100,9 +100,7 @@ def _find_frame(store: Store, flight: str, frame_idx: int | None) -> dict[str, A
     which = "true" if frame_idx is None else f"f.frame_idx = {frame_idx}"
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "frame.json"
-        run_query(
-            store.index_path, _FRAME.format(flight=flight, which=which), format="json", output=output
-        )
+        run_query(store.index_path, _FRAME.format(flight=flight, which=which), format="json", output=output)
         rows: list[dict[str, Any]] = json.loads(output.read_text(encoding="utf-8"))
     if not rows:
         raise QueryError(f"no decoded frame like that in flight {flight}; see the table frames")

@@ -1,7 +1,7 @@
 """The one path: a recording in; annotations in a copy of it and rows in the store out.
 
-    recording ─ iter_frames ─ batches, decoded one ahead ─ detect ─┬─ annotated.mcap
-                                                                   └─ frames, segments, lines.parquet
+recording ─ iter_frames ─ batches, decoded one ahead ─ detect ─┬─ annotated.mcap
+                                                               └─ frames, segments, lines.parquet
 """
 
 from __future__ import annotations

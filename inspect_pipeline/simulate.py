@@ -18,7 +18,14 @@ from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import OutputError
 from inspect_pipeline.simulate_ground import draw_ground
 from inspect_pipeline.simulate_render import Landscape, render
-from inspect_pipeline.simulate_scene import Camera, conductors, look, plant_trees, pole_positions, visible_runs
+from inspect_pipeline.simulate_scene import (
+    Camera,
+    conductors,
+    look,
+    plant_trees,
+    pole_positions,
+    visible_runs,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,7 +95,9 @@ def _fly(author: RecordingAuthor, options: SimulationOptions) -> list[dict[str, 
         camera = _camera(time_ns, options.image_size)
         _write_calibration(author, time_ns, camera)
         _write_image(author, time_ns, render(landscape, camera, rng))
-        frames.append({"frame_idx": i, "log_time_ns": _START_NS + time_ns, "lines": _truth(landscape, camera)})
+        frames.append(
+            {"frame_idx": i, "log_time_ns": _START_NS + time_ns, "lines": _truth(landscape, camera)}
+        )
     return frames
 
 
@@ -133,7 +142,9 @@ def _truth(landscape: Landscape, camera: Camera) -> list[dict[str, Any]]:
             walked_px = np.concatenate(([0.0], np.hypot(*np.diff(pixels, axis=0).T).cumsum()))
             _, kept = np.unique(walked_px // _TRUTH_STEP_PX, return_index=True)
             kept = np.union1d(kept, [len(pixels) - 1])
-            lines.append({"points": pixels[kept].round(2).tolist(), "width_px": widths_px[kept].round(2).tolist()})
+            lines.append(
+                {"points": pixels[kept].round(2).tolist(), "width_px": widths_px[kept].round(2).tolist()}
+            )
     return lines
 
 

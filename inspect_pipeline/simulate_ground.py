@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TEXEL_M = 0.04
-TILE_TEXELS = (2048, 4096)  # y, x
+TILE_TEXELS = (1024, 4096)  # y, x
 TILE_M = (TILE_TEXELS[0] * TEXEL_M, TILE_TEXELS[1] * TEXEL_M)
 
 _DARK_GRASS, _LIGHT_GRASS, _STRAW = (46, 62, 30), (104, 122, 62), (158, 150, 98)  # RGB
@@ -22,11 +22,12 @@ _TRACK_Y_M, _RUT_M = 8.5, 0.8
 
 def draw_ground(rng: np.random.Generator) -> NDArray[np.uint8]:
     """The RGB picture of a tile of ground: row i is y = i * TEXEL_M, column j is x = j * TEXEL_M."""
-    y, x = (np.arange(n) * TEXEL_M for n in TILE_TEXELS)
-    x, y = x[np.newaxis, :], y[:, np.newaxis]
+    y, x = (axis * np.float32(TEXEL_M) for axis in np.ogrid[: TILE_TEXELS[0], : TILE_TEXELS[1]])
     broad, tufts, blades = (_noise(rng, *band) for band in ((4.0, 60.0), (0.4, 4.0), (0.06, 0.5)))
     ground = _mix(_flat(_DARK_GRASS), _LIGHT_GRASS, 0.5 + 0.14 * broad + 0.18 * tufts + 0.2 * blades)
-    ground = _mix(ground, _STRAW, _step(_noise(rng, 1.5, 25.0) + 0.5 * tufts + 0.35 * blades, 0.9, 2.0) * 0.75)
+    ground = _mix(
+        ground, _STRAW, _step(_noise(rng, 1.5, 25.0) + 0.5 * tufts + 0.35 * blades, 0.9, 2.0) * 0.75
+    )
     ground = _mix(ground, _SOIL, _step(_noise(rng, 2.0, 40.0) + 0.4 * tufts, 1.5, 1.9) * 0.85)
     ground = _add_track(ground, x, y, tufts, blades)
     ground = _add_road(ground, x, y, tufts, blades)
@@ -42,19 +43,21 @@ def ground_to_texels() -> NDArray[np.float64]:
 def _noise(rng: np.random.Generator, shortest_m: float, longest_m: float) -> NDArray[np.float32]:
     """Noise of mean 0 and variance 1 with wavelengths in a band, as strong at each octave; it tiles."""
     rows, columns = TILE_TEXELS
-    fy, fx = np.fft.fftfreq(rows, TEXEL_M)[:, np.newaxis], np.fft.rfftfreq(columns, TEXEL_M)[np.newaxis, :]
-    frequency = np.hypot(fx, fy)
+    fy, fx = np.fft.fftfreq(rows, TEXEL_M), np.fft.rfftfreq(columns, TEXEL_M)
+    frequency = np.hypot(*np.meshgrid(fx, fy)).astype(np.float32)
     frequency[0, 0] = np.inf
-    band = np.exp(-((frequency * shortest_m) ** 4)) * (1 - np.exp(-((frequency * longest_m) ** 4))) / frequency
+    band = (
+        np.exp(-((frequency * shortest_m) ** 4)) * (1 - np.exp(-((frequency * longest_m) ** 4))) / frequency
+    )
     spectrum = np.fft.rfft2(rng.standard_normal(TILE_TEXELS, np.float32)) * band
-    noise = np.fft.irfft2(spectrum, TILE_TEXELS)
-    return (noise / noise.std()).astype(np.float32)
+    noise = np.fft.irfft2(spectrum, TILE_TEXELS).astype(np.float32)
+    return noise / noise.std()
 
 
 def _add_road(
     ground: NDArray[np.float32],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
+    x: NDArray[np.float32],
+    y: NDArray[np.float32],
     tufts: NDArray[np.float32],
     blades: NDArray[np.float32],
 ) -> NDArray[np.float32]:
@@ -70,8 +73,8 @@ def _add_road(
 
 def _add_track(
     ground: NDArray[np.float32],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
+    x: NDArray[np.float32],
+    y: NDArray[np.float32],
     tufts: NDArray[np.float32],
     blades: NDArray[np.float32],
 ) -> NDArray[np.float32]:

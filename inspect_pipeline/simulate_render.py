@@ -9,7 +9,14 @@ import cv2
 import numpy as np
 
 from inspect_pipeline.simulate_ground import TILE_M, ground_to_texels
-from inspect_pipeline.simulate_scene import CROSSARM_HALF_M, POLE_HEIGHT_M, Camera, Conductor, Tree, visible_runs
+from inspect_pipeline.simulate_scene import (
+    CROSSARM_HALF_M,
+    POLE_HEIGHT_M,
+    Camera,
+    Conductor,
+    Tree,
+    visible_runs,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -21,7 +28,7 @@ if TYPE_CHECKING:
 _SHIFT = 4  # binary places of the coordinates given to OpenCV
 _FINER = 4  # conductors are drawn this much larger, then averaged
 _LEAVES_DARK, _LEAVES_LIGHT = np.array((22, 36, 18)), np.array((112, 132, 66))  # RGB
-_AUTUMN = np.array((34, 8, -14))  # added to a tree of tint 1
+_AUTUMN = np.array((26, 10, -6))  # added to a tree of tint 1
 _WOOD, _SHADOW = np.array((128, 112, 96)), 0.55
 _METAL = np.array((1.0, 0.99, 0.97))  # how a conductor's light is coloured
 # Strokes over each other, dark rim to bright top: share of the width, shift to the light, brightness.
@@ -53,21 +60,25 @@ def render(landscape: Landscape, camera: Camera, rng: np.random.Generator) -> Im
     for pole_x in reversed(landscape.poles):
         _draw_pole(image, camera, pole_x)
     exposed = _draw_conductors(image, camera, landscape.conductors)
-    exposed = cv2.GaussianBlur(exposed, None, 0.6) + rng.normal(0, _NOISE, image.shape).astype(np.float32)
-    return np.clip(exposed, 0, 255).astype(np.uint8)
+    noise = _NOISE * rng.standard_normal(image.shape, np.float32)
+    return np.clip(cv2.GaussianBlur(exposed, None, 0.6) + noise, 0, 255).astype(np.uint8)
 
 
 def _draw_ground(landscape: Landscape, camera: Camera) -> Image:
     """The plane z = 0, which a homography maps to the image; the camera is moved onto the first tile."""
     tile_y_m, tile_x_m = TILE_M
     x, y, z = camera.position
-    moved = Camera(np.array([x % tile_x_m, y % tile_y_m, z]), camera.rotation, camera.focal_px, camera.image_size)
+    moved = Camera(
+        np.array([x % tile_x_m, y % tile_y_m, z]), camera.rotation, camera.focal_px, camera.image_size
+    )
     plane_to_pixel = moved.matrix[:, [0, 1, 3]]
     to_centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     to_texel = ground_to_texels() @ np.linalg.inv(plane_to_pixel) @ to_centre
     height, width = camera.image_size
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    image = cv2.warpPerspective(landscape.ground, to_texel, (width, height), flags=flags, borderMode=cv2.BORDER_WRAP)
+    image = cv2.warpPerspective(
+        landscape.ground, to_texel, (width, height), flags=flags, borderMode=cv2.BORDER_WRAP
+    )
     return image.astype(np.uint8, copy=False)
 
 
@@ -87,7 +98,7 @@ def _draw_tree(image: Image, camera: Camera, tree: Tree, sun: NDArray[np.float64
     """Its shadow, then its clumps of leaves from far to near."""
     on_ground = tree.clumps - sun * (tree.clumps[:, 2:] / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
-    _draw_discs(shadow, camera, on_ground, 1.3 * tree.radii_m, np.full((len(on_ground), 1), 255))
+    _draw_discs(shadow, camera, on_ground, 2 * tree.radii_m, np.full((len(on_ground), 1), 255))
     _darken(image, shadow)
     colours = _LEAVES_DARK + tree.light[:, np.newaxis] * (_LEAVES_LIGHT - _LEAVES_DARK) + tree.tint * _AUTUMN
     _draw_discs(image, camera, tree.clumps, tree.radii_m, colours)
@@ -103,9 +114,9 @@ def _draw_discs(
     pixels, depths = camera.project(centres)
     fixed = np.rint((pixels - 0.5) * (1 << _SHIFT)).astype(int).tolist()
     radii = np.rint(radii_m * camera.focal_px / depths * (1 << _SHIFT)).astype(int).tolist()
-    for i in np.argsort(-depths).tolist():
-        if depths[i] > 1:
-            cv2.circle(image, fixed[i], radii[i], np.clip(colours[i], 0, 255).tolist(), -1, cv2.LINE_AA, _SHIFT)
+    paints = np.clip(colours, 0, 255).tolist()
+    for i in np.argsort(-depths)[: np.count_nonzero(depths > 1)].tolist():
+        cv2.circle(image, fixed[i], radii[i], paints[i], -1, cv2.LINE_AA, _SHIFT)
 
 
 def _darken(image: Image, shadow: Image) -> None:

@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 SPAN_M = 55.0
 POLE_HEIGHT_M = 12.5
 CROSSARM_HALF_M = 1.8
-_CONDUCTORS = ((-1.6, 12.3, 0.045), (0.0, 12.9, 0.045), (1.6, 12.3, 0.045), (0.35, 9.2, 0.06))  # y, z, diameter
+_CONDUCTORS = (
+    (-1.6, 12.3, 0.045),
+    (0.0, 12.9, 0.045),
+    (1.6, 12.3, 0.045),
+    (0.35, 9.2, 0.06),
+)  # y, z, diameter
 _SAG_M = 1.1
 _SAMPLE_M = 0.02
 _NEAREST_M = 1.0
@@ -65,7 +70,9 @@ class Camera:
         return projected[:, :2] / np.where(np.abs(depths) < 1e-9, 1e-9, depths)[:, np.newaxis], depths
 
 
-def look(position: Floats, yaw_rad: float, pitch_rad: float, focal_px: float, size: tuple[int, int]) -> Camera:
+def look(
+    position: Floats, yaw_rad: float, pitch_rad: float, focal_px: float, size: tuple[int, int]
+) -> Camera:
     """A camera without roll that looks along x, turned left by yaw and down by pitch."""
     ahead = np.array(
         [np.cos(yaw_rad) * np.cos(pitch_rad), np.sin(yaw_rad) * np.cos(pitch_rad), -np.sin(pitch_rad)]
@@ -115,15 +122,15 @@ def plant_trees(rng: np.random.Generator, first_m: float, last_m: float, sun: Fl
 
 
 def _grow(rng: np.random.Generator, centre: Floats, radius_m: float, sun: Floats) -> Tree:
-    n_clumps = int(90 * radius_m**1.5)
+    n_clumps = int(420 * radius_m**1.5)
     outward = rng.normal(size=(n_clumps, 3)) * (1, 1, 0.9)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     lumps = 1 + 0.22 * np.sin(outward @ rng.normal(0, 3, (3, 3)) + rng.uniform(0, 6, 3)).sum(axis=1)
-    reach = radius_m * lumps * rng.uniform(0.75, 1.0, n_clumps)
-    light = 0.5 + 0.42 * outward @ sun + rng.normal(0, 0.09, n_clumps)
+    reach = radius_m * lumps * rng.uniform(0.7, 1.0, n_clumps)
+    light = 0.42 + 0.36 * outward @ sun + 0.5 * (lumps - 1) + rng.normal(0, 0.12, n_clumps)
     return Tree(
         clumps=centre + outward * reach[:, np.newaxis],
-        radii_m=rng.uniform(0.1, 0.26, n_clumps),
+        radii_m=rng.uniform(0.05, 0.14, n_clumps),
         light=np.clip(light, 0, 1),
-        tint=rng.uniform(0, 1),
+        tint=rng.uniform(0, 1) ** 2,
     )

@@ -1,0 +1,63 @@
+# Needs Python 3.11 or newer, make, and the packages that pip downloads.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+LSNET_PIPE := $(BIN)/lsnet-pipe
+DEMO_STORE := --store demo/store
+
+.PHONY: help demo test lint types contracts wheel slow clean
+
+help:
+	@echo "make demo       simulate a flight, process it, ask three questions, draw a picture"
+	@echo "make test       the fast tests"
+	@echo "make lint       ruff"
+	@echo "make types      mypy, strict"
+	@echo "make contracts  who may import what"
+	@echo "make wheel      build the wheel, use it in a new environment"
+	@echo "make slow       the tests that take minutes, npm or much disk"
+	@echo "make clean      remove what was built, but not $(VENV)"
+
+$(INSTALLED): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,openvino]'
+	touch $@
+
+demo: $(INSTALLED)
+	rm -rf demo
+	mkdir demo
+	$(LSNET_PIPE) simulate demo/demo.mcap
+	$(LSNET_PIPE) process demo/demo.mcap $(DEMO_STORE)
+	$(LSNET_PIPE) query "SELECT n_frames, n_bad_frames, n_segments, duration_s, detection_share FROM flight_summary" $(DEMO_STORE)
+	$(LSNET_PIPE) query "SELECT frame_idx, n_segments, sharpness::INTEGER AS sharpness, infer_ms::INTEGER AS infer_ms FROM frames ORDER BY n_segments DESC LIMIT 5" $(DEMO_STORE)
+	$(LSNET_PIPE) query "SELECT angle_deg // 30 * 30 AS angle_from_deg, count(*) AS n_segments, avg(length_px)::INTEGER AS mean_length_px FROM segments GROUP BY ALL ORDER BY ALL" $(DEMO_STORE)
+	$(LSNET_PIPE) overlay $$($(LSNET_PIPE) query --format csv "SELECT flight_id FROM flights" $(DEMO_STORE) | tail -n 1) -o demo/overlay.png $(DEMO_STORE)
+	@echo
+	@echo "recording      demo/demo.mcap, its truth demo/demo.truth.json"
+	@echo "annotated copy $$(ls demo/store/flights/*/annotated.mcap), to be opened in Foxglove or Lichtblick"
+	@echo "index          demo/store/index.duckdb, for $(LSNET_PIPE) query \"...\" $(DEMO_STORE)"
+	@echo "picture        demo/overlay.png"
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest -q
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(INSTALLED)
+	$(BIN)/mypy
+
+contracts: $(INSTALLED)
+	$(BIN)/lint-imports
+
+wheel: $(INSTALLED)
+	$(BIN)/python -m pytest -q -m slow tests/test_packaging.py
+
+slow: $(INSTALLED)
+	$(BIN)/python -m pytest -q -m slow
+
+clean:
+	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

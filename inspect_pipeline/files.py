@@ -69,9 +69,15 @@ def move_folder_into_place(new: Path, final: Path, aside: Path) -> None:
     An old `final` is left at `new`, or at `aside` where the file system cannot exchange two names. There,
     a crash between the two renames leaves `final` missing and `aside` whole: see `undo_move_aside`.
     """
-    if not final.exists():
+    try:
         new.rename(final)
-        return
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        _replace_folder(new, final, aside)
+
+
+def _replace_folder(new: Path, final: Path, aside: Path) -> None:
     try:
         _exchange(new, final)
     except OSError as error:

@@ -97,7 +97,7 @@ def versions(store: Store) -> dict[str, int]:
     for folder in (store.root / "flights").iterdir():
         result = json.loads((folder / "result.json").read_text())
         assert {name: (folder / name).stat().st_size for name in result["files"]} == result["files"]
-        rows = duckdb.sql(f"SELECT count(*) FROM '{folder}/frames.parquet'").fetchall()
+        rows = duckdb.execute(f"SELECT count(*) FROM '{folder}/frames.parquet'").fetchall()
         assert rows == [(result["totals"]["n_frames"],)]
         versions[Path(result["source_uri"]).stem] = result["totals"]["n_frames"]
     return versions

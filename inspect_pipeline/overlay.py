@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 _FRAME = """
 SELECT f.flight_id, f.frame_idx, f.log_time_ns, c.topic,
-       (SELECT list([x1, y1, x2, y2]) FROM segments AS s
-        WHERE (s.flight_id, s.channel_id, s.frame_idx) = (f.flight_id, f.channel_id, f.frame_idx)) AS endpoints
+       (SELECT list([x1, y1, x2, y2])
+        FROM segments AS s
+        WHERE s.flight_id = f.flight_id AND s.channel_id = f.channel_id AND s.frame_idx = f.frame_idx
+       ) AS endpoints
 FROM frames AS f
 JOIN channels AS c USING (flight_id, channel_id)
 WHERE starts_with(f.flight_id, '{flight}') AND f.status = 'ok' AND {which}

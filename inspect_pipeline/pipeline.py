@@ -51,6 +51,7 @@ def process(
     detector: Detector,
     options: ProcessOptions,
     run: RunRecord,
+    *,
     on_progress: Callable[[Progress], object] = lambda _: None,
 ) -> ProcessResult:
     """Find the segments of a recording and keep them in the store, whole or not at all.

@@ -50,8 +50,9 @@ def _noise(rng: np.random.Generator, shortest_m: float, longest_m: float) -> NDA
         np.exp(-((frequency * shortest_m) ** 4)) * (1 - np.exp(-((frequency * longest_m) ** 4))) / frequency
     )
     spectrum = np.fft.rfft2(rng.standard_normal(TILE_TEXELS, np.float32)) * band
-    noise = np.fft.irfft2(spectrum, TILE_TEXELS).astype(np.float32)
-    return noise / noise.std()
+    noise: NDArray[np.float32] = np.fft.irfft2(spectrum, TILE_TEXELS).astype(np.float32)
+    noise /= noise.std()
+    return noise
 
 
 def _add_road(
@@ -68,7 +69,7 @@ def _add_road(
     asphalt = _mix(_flat(_ASPHALT), _GRAVEL, 0.12 + 0.05 * tufts + 0.07 * blades)
     ground = _mix(ground, asphalt, _step(-ragged_m, -_ROAD_HALF_M - 0.15, -_ROAD_HALF_M + 0.05))
     is_dash = (y / 2.56 % 2 < 1) & (off_m < 0.06)
-    return _mix(ground, _PAINT, cv2.GaussianBlur(is_dash.astype(np.float32), None, 0.7) * 0.8)
+    return _mix(ground, _PAINT, cv2.GaussianBlur(is_dash.astype(np.float32), (0, 0), 0.7) * 0.8)
 
 
 def _add_track(
@@ -101,5 +102,6 @@ def _mix(
 
 def _step(value: NDArray[np.floating], low: float, high: float) -> NDArray[np.floating]:
     """0 below `low`, 1 above `high`, smooth between."""
-    t = np.clip((value - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)
+    t: NDArray[np.floating] = np.clip((value - low) / (high - low), 0, 1)
+    t *= t * (3 - 2 * t)
+    return t

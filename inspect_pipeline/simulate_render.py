@@ -29,9 +29,17 @@ _SHIFT = 4  # binary places of the coordinates given to OpenCV
 _FINER = 4  # conductors are drawn this much larger, then averaged
 _LEAVES_DARK, _LEAVES_LIGHT = np.array((22, 36, 18)), np.array((112, 132, 66))  # RGB
 _AUTUMN = np.array((26, 10, -6))  # added to a tree of tint 1
-_WOOD, _SHADOW = np.array((128, 112, 96)), 0.55
+_SHADOW = 0.55  # of the light is missing
+# Strips of a beam over each other: share of the width, shift to the light, colour.
+_WOOD = (
+    (1.0, 0.0, (64, 56, 48)),
+    (0.8, 0.05, (96, 84, 72)),
+    (0.5, 0.1, (128, 112, 96)),
+    (0.2, 0.15, (147, 129, 110)),
+)
+_MASK = ((1.0, 0.0, (255,)),)
 _METAL = np.array((1.0, 0.99, 0.97))  # how a conductor's light is coloured
-# Strokes over each other, dark rim to bright top: share of the width, shift to the light, brightness.
+# Strokes of a conductor, dark rim to bright top: share of the width, shift to the light, brightness.
 _ROUND = ((1.0, 0.0, 62), (0.78, 0.06, 104), (0.52, 0.1, 148), (0.26, 0.13, 186))
 _NOISE = 2.5
 
@@ -59,9 +67,10 @@ def render(landscape: Landscape, camera: Camera, rng: np.random.Generator) -> Im
         _draw_tree(image, camera, tree, landscape.sun)
     for pole_x in reversed(landscape.poles):
         _draw_pole(image, camera, pole_x)
-    exposed = _draw_conductors(image, camera, landscape.conductors)
+    sharp = _draw_conductors(image, camera, landscape.conductors)
     noise = _NOISE * rng.standard_normal(image.shape, np.float32)
-    return np.clip(cv2.GaussianBlur(exposed, None, 0.6) + noise, 0, 255).astype(np.uint8)
+    taken: Image = np.clip(cv2.GaussianBlur(sharp, (0, 0), 0.6) + noise, 0, 255).astype(np.uint8)
+    return taken
 
 
 def _draw_ground(landscape: Landscape, camera: Camera) -> Image:
@@ -124,24 +133,23 @@ def _darken(image: Image, shadow: Image) -> None:
     x, y, width, height = cv2.boundingRect(shadow)
     if width and height:
         part = image[y : y + height, x : x + width]
-        mask = cv2.GaussianBlur(shadow[y : y + height, x : x + width], None, 1.2)[..., np.newaxis] / 255
+        mask = cv2.GaussianBlur(shadow[y : y + height, x : x + width], (0, 0), 1.2)[..., np.newaxis] / 255
         part[:] = (part * (1 - _SHADOW * mask)).astype(np.uint8)
 
 
 def _draw_pole_shadow(image: Image, camera: Camera, x: float, sun: NDArray[np.float64]) -> None:
     top = np.array([x, 0, POLE_HEIGHT_M]) - sun * (POLE_HEIGHT_M / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
-    _draw_beam(shadow, camera, np.array([[x, 0, 0], top]), 0.26, ((1.0, 0.0, 255),), np.ones(1))
+    _draw_beam(shadow, camera, np.array([[x, 0, 0], top]), 0.26, _MASK)
     _darken(image, shadow)
 
 
 def _draw_pole(image: Image, camera: Camera, x: float) -> None:
     """A wooden pole with a crossarm."""
-    shades = ((1.0, 0.0, 0.5), (0.8, 0.05, 0.75), (0.5, 0.1, 1.0), (0.2, 0.15, 1.15))
     pole = np.array([[x, 0, 0], [x, 0, POLE_HEIGHT_M]])
-    _draw_beam(image, camera, pole, 0.28, shades, _WOOD)
+    _draw_beam(image, camera, pole, 0.28, _WOOD)
     arm = np.array([[x, -CROSSARM_HALF_M, 12.1], [x, CROSSARM_HALF_M, 12.1]])
-    _draw_beam(image, camera, arm, 0.16, shades, _WOOD)
+    _draw_beam(image, camera, arm, 0.16, _WOOD)
 
 
 def _draw_beam(
@@ -149,8 +157,7 @@ def _draw_beam(
     camera: Camera,
     ends: NDArray[np.float64],
     diameter_m: float,
-    shades: Iterable[tuple[float, float, float]],
-    colour: NDArray[np.floating],
+    strips: Iterable[tuple[float, float, tuple[int, ...]]],
 ) -> None:
     """A straight beam between two points, lit from one side."""
     pixels, depths = camera.project(ends)
@@ -159,11 +166,11 @@ def _draw_beam(
     along = pixels[1] - pixels[0]
     across = np.array([-along[1], along[0]]) / max(np.hypot(*along), 1e-6)
     half_px = diameter_m * camera.focal_px / depths / 2
-    for share, shift, brightness in shades:
+    for share, shift, colour in strips:
         offsets = half_px[:, np.newaxis] * across
         left, right = pixels + offsets * (2 * shift - share), pixels + offsets * (2 * shift + share)
         outline = np.rint((np.vstack((left, right[::-1])) - 0.5) * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillPoly(image, [outline], np.clip(colour * brightness, 0, 255).tolist(), cv2.LINE_AA, _SHIFT)
+        cv2.fillPoly(image, [outline], colour, cv2.LINE_AA, _SHIFT)
 
 
 def _draw_conductors(image: Image, camera: Camera, conductors: Iterable[Conductor]) -> NDArray[np.float32]:

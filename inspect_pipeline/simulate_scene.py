@@ -1,4 +1,4 @@
-"""The drawn world: a pinhole camera, conductors between poles, trees. Metres: x along the line, y left, z up."""
+"""The drawn world: a camera, conductors between poles, trees. In m: x along the line, y left, z up."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def look(
 
 
 def pole_positions(first_m: float, last_m: float) -> Floats:
-    """x of the poles between two x."""
+    """Where along x the poles between two x stand."""
     return np.arange(np.ceil(first_m / SPAN_M), np.floor(last_m / SPAN_M) + 1) * SPAN_M
 
 

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 class FakeDetector:
     """Finds as many segments as the number of the picture (see factories.picture), at most three."""
 
-    def __init__(self, weights: str = "fast", scale: float | None = None, min_score: float | None = None) -> None:
+    def __init__(
+        self, weights: str = "fast", scale: float | None = None, min_score: float | None = None
+    ) -> None:
         self.description: dict[str, Any] = {
             "weights": weights,
             "weights_sha256": "ab" * 32,

@@ -27,11 +27,11 @@ def info(file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording 
 
 def _describe(recording: Recording) -> Iterator[str]:
     counts = recording.message_counts()
-    duration_s = (recording.end_ns - recording.start_ns) / 1e9
     yield f"file      {recording.path} ({recording.size_bytes:,} bytes)"
     yield f"flight    {recording.flight_id}"
     if counts:
-        yield f"time      {_to_utc(recording.start_ns)} to {_to_utc(recording.end_ns)} UTC, {duration_s:.1f} s"
+        yield f"time      {_to_utc(recording.start_ns)} to {_to_utc(recording.end_ns)} UTC"
+        yield f"duration  {(recording.end_ns - recording.start_ns) / 1e9:.1f} s"
     yield f"profile   {recording.profile or 'none'}"
     yield f"channels  {len(recording.channels)}"
     for channel in recording.channels:

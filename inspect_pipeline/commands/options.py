@@ -32,8 +32,11 @@ StoreOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 WeightsOption = Annotated[str, typer.Option(metavar="NAME|FILE", help="Weights by name or by file.")]
 ScaleOption = Annotated[
-    float | None, typer.Option(min=0.05, max=4.0, metavar="FACTOR", help="Size at which to look, 1 for that of the image.")
+    float | None,
+    typer.Option(min=0.05, max=4.0, metavar="FACTOR", help="Size at which to look, 1 for that of the image."),
 ]
 MinScoreOption = Annotated[
-    float | None, typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Least score of a segment; else the weights' own.")
+    float | None,
+    typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Least score of a segment; else the weights' own."),
 ]
+RuntimeOption = Annotated[str, typer.Option(metavar="NAME", help="auto, torch or openvino.")]

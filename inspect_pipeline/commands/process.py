@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from inspect_pipeline.pipeline import Progress
     from inspect_pipeline.types import ProcessResult
 
-_TABLE = "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>4}  {n_segments:>10}  {seconds:>8}  {source}"
+_TABLE = (
+    "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>4}  {n_segments:>10}  {seconds:>8}  {source}"
+)
 
 
 def process(
@@ -33,7 +35,8 @@ def process(
     store: StoreOption = None,
     as_json: JsonOption = False,
     topic: Annotated[
-        list[str] | None, typer.Option(metavar="TOPIC", help="A camera topic, may be repeated; else all cameras.")
+        list[str] | None,
+        typer.Option(metavar="TOPIC", help="A camera topic, may be repeated; else all cameras."),
     ] = None,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Look at every N-th frame.")] = 1,
     start: Annotated[
@@ -67,7 +70,9 @@ def process(
     for path in files:
         try:
             with _progress_bar(path) as on_progress:
-                results.append(pipeline.process(path, the_store, detector, options, run, on_progress))
+                results.append(
+                    pipeline.process(path, the_store, detector, options, run, on_progress=on_progress)
+                )
         except InspectError as error:
             typer.echo(f"error: {error}", err=True)
             exit_code = error.exit_code

@@ -1,0 +1,184 @@
+"""One recording through the pipeline, with a detector whose answers are known."""
+
+from __future__ import annotations
+
+import json
+import os
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import duckdb
+import numpy as np
+import pytest
+from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording, shots
+from fakes import FakeDetector
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from mcap.reader import make_reader
+
+from inspect_pipeline import index
+from inspect_pipeline.config import ProcessOptions, start_run
+from inspect_pipeline.errors import RecordingError, StoreError
+from inspect_pipeline.pipeline import Progress, process
+from inspect_pipeline.quality import measure_quality
+from inspect_pipeline.store import Store
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any
+
+    from inspect_pipeline.types import ProcessResult
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+def run(path: Path, store: Store, detector: Any = None, **options: Any) -> ProcessResult:
+    detector, options = detector or FakeDetector(), ProcessOptions(**options)
+    return process(path, store, detector, options, start_run(detector, options))
+
+
+def rows(store: Store, sql: str) -> list[tuple[Any, ...]]:
+    index.publish(store)
+    with duckdb.connect(store.index_path, read_only=True) as connection:
+        return connection.execute(sql).fetchall()
+
+
+def test_every_frame_has_its_row_and_its_annotation(tmp_path: Path, store: Store) -> None:
+    """Picture i has i segments, at most three; the first has none."""
+    result = run(make_recording(tmp_path / "a.mcap", shots(5)), store)
+    assert (result.status, result.n_frames, result.n_bad_frames, result.n_segments) == ("ok", 5, 0, 9)
+    assert rows(store, "SELECT frame_idx, n_segments, status FROM frames ORDER BY ALL") == [
+        (i, min(i, 3), "ok") for i in range(5)
+    ]
+    assert rows(store, "SELECT x1, y1, x2, y2 FROM segments WHERE frame_idx = 1") == [(1, 0.5, 9, 4.5)]
+    with result.annotated.open("rb") as file:
+        topic = f"{CAMERA}/lsnet/annotations"
+        written = [ImageAnnotations.FromString(m.data) for *_, m in make_reader(file).iter_messages([topic])]
+    assert [len(message.points[0].points) // 2 for message in written] == [0, 1, 2, 3, 3]
+
+
+def test_the_annotated_copy_says_how_it_was_made(tmp_path: Path, store: Store) -> None:
+    result = run(make_recording(tmp_path / "a.mcap", shots(1)), store, every=1)
+    with result.annotated.open("rb") as file:
+        metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    said = metadata["lsnet_pipe.run"]
+    assert said["flight_id"] == result.flight_id
+    assert said["weights_sha256"] == "ab" * 32
+    assert json.loads(said["config"])["detector"]["backend"] == "fake"
+
+
+def test_a_bad_image_is_a_bad_frame(tmp_path: Path, store: Store) -> None:
+    broken = Shot(1, log_time_ns=START_NS + STEP_NS, data=b"\xff\xd8\xffnothing")
+    path = make_recording(tmp_path / "a.mcap", [Shot(2), broken, Shot(3, log_time_ns=START_NS + 2 * STEP_NS)])
+    result = run(path, store)
+    assert (result.status, result.n_frames, result.n_bad_frames, result.n_segments) == ("ok", 3, 1, 5)
+    ((status, reason, sharpness),) = rows(
+        store, "SELECT status, reason, sharpness FROM frames WHERE frame_idx = 1"
+    )
+    assert (status, sharpness) == ("bad", None)
+    assert "decoded" in reason
+
+
+def test_done_is_not_done_again(tmp_path: Path, store: Store) -> None:
+    """Under another name the same recording is the same flight."""
+    path = make_recording(tmp_path / "a.mcap", shots(2))
+    first = run(path, store)
+    detector = FakeDetector()
+    again = run(path.rename(tmp_path / "b.mcap"), store, detector)
+    assert (again.status, again.flight_id, again.n_segments) == ("skipped", first.flight_id, first.n_segments)
+    assert detector.batch_sizes == []
+
+
+@pytest.mark.parametrize(
+    ("detector", "options"),
+    [
+        (FakeDetector(), {"force": True}),
+        (FakeDetector(min_score=0.7), {}),
+        (FakeDetector(weights="other"), {}),
+        (FakeDetector(), {"every": 2}),
+    ],
+)
+def test_another_model_or_config_replaces(
+    tmp_path: Path, store: Store, detector: FakeDetector, options: dict[str, Any]
+) -> None:
+    path = make_recording(tmp_path / "a.mcap", shots(4))
+    run(path, store)
+    result = run(path, store, detector, **options)
+    assert result.status == "ok"
+    assert rows(store, "SELECT count(*) FROM frames") == [(result.n_frames,)]
+    assert rows(store, "SELECT count(*) FROM flights") == [(1,)]
+
+
+def test_a_damaged_result_is_made_again(tmp_path: Path, store: Store) -> None:
+    path = make_recording(tmp_path / "a.mcap", shots(2))
+    os.truncate(run(path, store).annotated, 100)
+    assert run(path, store).status == "ok"
+    assert run(path, store).status == "skipped"
+
+
+def test_an_annotated_copy_is_skipped(tmp_path: Path, store: Store) -> None:
+    first = run(make_recording(tmp_path / "a.mcap", shots(2)), store)
+    again = run(first.annotated, store)
+    assert (again.status, again.flight_id, again.n_frames) == ("skipped", first.flight_id, 0)
+
+
+def test_a_selection_of_frames(tmp_path: Path, store: Store) -> None:
+    path = make_recording(tmp_path / "a.mcap", [*shots(6), *shots(6, "/other")])
+    run(path, store, topics=(CAMERA,), every=2, start_ns=START_NS + STEP_NS, end_ns=START_NS + 5 * STEP_NS)
+    assert rows(store, "SELECT frame_idx, topic FROM frames JOIN channels USING (channel_id)") == [
+        (2, CAMERA),
+        (4, CAMERA),
+    ]
+
+
+def test_damage_is_refused_or_survived(tmp_path: Path, store: Store) -> None:
+    path = make_recording(tmp_path / "a.mcap", shots(40))
+    os.truncate(path, path.stat().st_size * 2 // 3)
+    with pytest.raises(RecordingError, match="--no-strict"):
+        run(path, store)
+    result = run(path, store, strict=False)
+    assert result.status == "recovered"
+    assert 0 < result.n_frames < 40
+    ((reason,),) = rows(store, "SELECT reason FROM flights")
+    assert "lost" in reason
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path, store: Store) -> None:
+    class Failing(FakeDetector):
+        def detect(self, images: Any) -> Any:
+            raise KeyboardInterrupt
+
+    path = make_recording(tmp_path / "a.mcap", shots(20))
+    with pytest.raises(KeyboardInterrupt):
+        run(path, store, Failing())
+    assert list((store.root / "flights").iterdir()) == []
+    assert [p.name for p in (store.root / "staging").iterdir()] == ["mutex"]
+    assert run(path, store).n_frames == 20
+
+
+def test_the_store_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "store").write_text("not a folder")
+    with pytest.raises(StoreError, match="a file is where a folder should be"):
+        run(make_recording(tmp_path / "a.mcap", shots(1)), Store(tmp_path / "store"))
+
+
+def test_batches_are_small_and_progress_is_told(tmp_path: Path, store: Store) -> None:
+    path, detector, told = make_recording(tmp_path / "a.mcap", shots(20)), FakeDetector(), []
+    options = ProcessOptions()
+    process(path, store, detector, options, start_run(detector, options), on_progress=told.append)
+    assert sum(detector.batch_sizes) == 20
+    assert max(detector.batch_sizes) <= 8
+    assert told[-1] == Progress(20, 20)
+    assert all(a.n_frames < b.n_frames for a, b in pairwise(told))
+
+
+def test_quality_of_known_pictures() -> None:
+    """A checkerboard of 0 and 255: each Laplacian is 4 * 255 up or down."""
+    board = (np.indices((8, 8)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    sharp = measure_quality(np.repeat(board[..., np.newaxis], 3, axis=2))
+    assert sharp.mean_luma == 127.5
+    assert sharp.sharpness == pytest.approx((4 * 255) ** 2)
+    grey = measure_quality(np.full((3000, 2000, 3), 90, np.uint8))
+    assert (grey.sharpness, grey.mean_luma) == (0, 90)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands import doctor, index, info, overlay, process, query, simulate
+from inspect_pipeline.commands import detect, doctor, index, info, model, overlay, process, query, simulate
 from inspect_pipeline.errors import InspectError
 
 if TYPE_CHECKING:
@@ -27,10 +27,12 @@ app = typer.Typer(
 app.command()(process.process)
 app.command()(query.query)
 app.command()(info.info)
+app.command()(detect.detect)
 app.command()(overlay.overlay)
 app.command()(simulate.simulate)
 app.command()(doctor.doctor)
 app.add_typer(index.app, name="index")
+app.add_typer(model.app, name="model")
 
 
 def _print_version(wanted: bool) -> None:

@@ -115,7 +115,8 @@ def _chords(points: NDArray[np.floating], boxes: NDArray[np.floating]) -> NDArra
     last = is_hit.shape[-1] - 1 - np.argmax(is_hit[..., ::-1], axis=-1)
     start = _along(pieces[first], np.take_along_axis(t_in, first[..., None], -1))
     end = _along(pieces[last], np.take_along_axis(t_out, last[..., None], -1))
-    return np.concatenate([start, end], axis=-1) * is_hit.any(axis=-1)[..., None]
+    chords = np.concatenate([start, end], axis=-1)
+    return np.where(is_hit.any(axis=-1, keepdims=True), chords, 0.0)
 
 
 def _along(pieces: NDArray[np.floating], t: NDArray[np.floating]) -> NDArray[np.floating]:

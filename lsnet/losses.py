@@ -64,7 +64,7 @@ class MultiTaskLoss:
     weight: float = 1.0
 
     def __call__(self, output: RawOutput, labels: Tensor, endpoints: Tensor) -> Losses:
-        """labels (N, R, C) as in `grid.Targets`, endpoints (N, R, C, 4) in cell fractions."""
+        """Losses of a batch; labels (N, R, C) and endpoints (N, R, C, 4) as in `grid.Targets`."""
         logits = output.logits.float().permute(0, 2, 3, 1)[labels != IGNORED]
         is_positive = labels[labels != IGNORED] == POSITIVE
         n_positive = is_positive.sum().clamp(min=1)

@@ -104,7 +104,7 @@ class FeatureExtractor(nn.Sequential):
 
 
 class Head(nn.Sequential):
-    """A 2 x 2 transformation layer to the four grids, then a 1 x 1 layer: (N, C, R + 1, ..) to (N, K, R, ..)."""
+    """A 2 x 2 transformation layer to the four grids, then 1 x 1: (N, C, R + 1, S + 1) to (N, K, R, S)."""
 
     def __init__(self, c_in: int, config: LSNetConfig, outputs: int) -> None:
         super().__init__(
@@ -145,7 +145,6 @@ class RawOutput(NamedTuple):
 
 class LSNet(nn.Module):
     """The whole network: images (N, 3, H, W) in [0, 1], H and W multiples of 16, to `RawOutput`."""
-
 
     def __init__(self, config: LSNetConfig) -> None:
         super().__init__()

@@ -36,9 +36,14 @@ if TYPE_CHECKING:
 class SampleSource(Protocol):
     """Samples by index, the same for the same index."""
 
-    size: int
+    @property
+    def size(self) -> int:
+        """Side of the square images, pixels."""
+        ...
 
-    def __getitem__(self, index: int) -> Sample: ...
+    def __getitem__(self, index: int) -> Sample:
+        """Sample `index`, any from 0 up."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +62,7 @@ class TrainConfig:
     patience: int = 12  # validations without a better one before the run stops
     threads: int = 1
     workers: int = 1
+    data: str = ""  # what is trained on, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +121,9 @@ def learning_rate_at(step: int, config: TrainConfig) -> float:
 class Trainer:
     """One run: the network, its average, the optimizer, and how far they have come."""
 
-    def __init__(self, config: TrainConfig, run_dir: Path, *, seed: int = 0, start: Path | None = None) -> None:
+    def __init__(
+        self, config: TrainConfig, run_dir: Path, *, seed: int = 0, start: Path | None = None
+    ) -> None:
         """Start a run or go on with it.
 
         start: weights (`best.pt` of another run) to begin with. Raises LSNetError when the folder
@@ -140,11 +148,15 @@ class Trainer:
         if self.step == 0:
             self.average.load_state_dict(self.net.state_dict())
 
-    def run(self, samples: SampleSource, validation: SampleSource, report: Callable[[Progress], None]) -> None:
+    def run(
+        self, samples: SampleSource, validation: SampleSource, report: Callable[[Progress], None]
+    ) -> None:
         """Train to the last step or until validation stops improving; `report` is called now and then."""
         config = self.config
         validation_batches = list(loader(validation, range(config.validation_images), config))
-        batches = loader(samples, range(self.step * config.batch_size, config.steps * config.batch_size), config)
+        batches = loader(
+            samples, range(self.step * config.batch_size, config.steps * config.batch_size), config
+        )
         for progress in self._epoch(batches):
             if progress.step % config.validate_every and progress.step != config.steps:
                 report(progress)
@@ -231,7 +243,9 @@ class Trainer:
         ours = asdict(self.config)
         changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
         if changed:
-            raise LSNetError(f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another --run folder")
+            raise LSNetError(
+                f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another --run folder"
+            )
         self.net.load_state_dict(state["net"])
         self.average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])

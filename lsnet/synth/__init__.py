@@ -1,1 +1,1 @@
-"""Synthetic training images (Section III-A): cables drawn over photographs, with what is mistaken for them."""
+"""Synthetic training images (Section III-A): cables over photographs, and what is mistaken for them."""

@@ -53,13 +53,13 @@ def brightness(image: Image, rng: Rng) -> Image:
 
 def contrast(image: Image, rng: Rng) -> Image:
     """A stretch about the mean."""
-    mean = image.mean()
+    mean = np.float32(image.mean())
     return (image - mean) * np.float32(np.exp(rng.uniform(-0.7, 0.45))) + mean
 
 
 def saturation(image: Image, rng: Rng) -> Image:
     """A stretch about each pixel's own grey."""
-    own = image.mean(axis=2, keepdims=True)
+    own: Image = image.mean(axis=2, keepdims=True)
     return own + (image - own) * np.float32(rng.uniform(0.2, 1.8))
 
 

@@ -38,6 +38,9 @@ class BackgroundFolder:
         head, _, tail = text.rpartition(":")
         return cls(Path(head), int(tail)) if head and tail.isdigit() else cls(Path(text))
 
+    def __str__(self) -> str:
+        return f"{self.path.name}, first {self.first}" if self.first else self.path.name
+
     def files(self) -> list[Path]:
         """The image files taken, sorted by name. Raises LSNetError when there are none."""
         if not self.path.is_dir():
@@ -98,7 +101,9 @@ def cut_out(photo: NDArray[np.uint8], rng: Rng, size: int) -> Image:
     if rng.random() < 0.5:
         square = square[:, ::-1]
     how = cv2.INTER_AREA if side > size else cv2.INTER_CUBIC
-    image: Image = cv2.resize(np.ascontiguousarray(square), (size, size), interpolation=how).astype(np.float32)
+    image: Image = cv2.resize(np.ascontiguousarray(square), (size, size), interpolation=how).astype(
+        np.float32
+    )
     if side < size / 1.5:  # an enlarged picture is too smooth: give it grain
         image += grain(rng, size, rng.uniform(2, 16), int(rng.integers(1, 4)))
     return image
@@ -108,8 +113,8 @@ def grain(rng: Rng, size: int, sigma: float, pitch_px: int) -> Image:
     """(size, size, 1) Gaussian noise, smooth over `pitch_px`."""
     count = size // pitch_px + 2
     noise = rng.standard_normal((count, count), dtype=np.float32) * np.float32(sigma)
-    out: Image = cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)[..., None]
-    return out
+    smooth = cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(smooth, np.float32)[..., None]
 
 
 def plain(rng: Rng, size: int) -> Image:
@@ -118,7 +123,9 @@ def plain(rng: Rng, size: int) -> Image:
     angle = rng.uniform(0, 2 * np.pi)
     t = np.linspace(-1, 1, size, dtype=np.float32)
     slope = np.cos(angle) * t + np.sin(angle) * t[:, None]
-    image: Image = base + (slope * np.float32(rng.uniform(0, 35)))[..., None] + np.zeros((1, 1, 3), np.float32)
+    image: Image = (
+        base + (slope * np.float32(rng.uniform(0, 35)))[..., None] + np.zeros((1, 1, 3), np.float32)
+    )
     image += grain(rng, size, rng.uniform(0, 14), 1)
     image += grain(rng, size, rng.uniform(0, 16), int(rng.integers(2, 12)))
     image += grain(rng, size, rng.uniform(0, 22), int(rng.integers(12, 90)))

@@ -103,7 +103,9 @@ def draw_cable(
     if visible is not None:
         coverage = coverage * visible[rows, columns]
     shade = _shade(np.clip(2 * d / np.maximum(w, 1), -1, 1), u, w, finish)
-    colour = np.clip(shade[:, None] * np.array(finish.rgb, np.float32) + _glint(shade, finish)[:, None], 0, 255)
+    colour = np.clip(
+        shade[:, None] * np.array(finish.rgb, np.float32) + _glint(shade, finish)[:, None], 0, 255
+    )
     patch = image[rows, columns]
     image[rows, columns] = patch + coverage[:, None].astype(np.float32) * (colour - patch)
 

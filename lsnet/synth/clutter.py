@@ -43,7 +43,9 @@ def branches(image: Image, rng: Rng) -> None:
     rgb = np.clip(rng.choice([35, 80, 120, 175]) + rng.normal(0, 12) + np.array([10, 0, -12]), 0, 255)
     straightness = rng.uniform(0.05, 0.35)
     limit = int(rng.integers(60, 260))
-    stack = [(_anywhere(image, rng, 0.2), rng.uniform(0, 2 * np.pi), rng.uniform(50, 200), rng.uniform(2, 16))]
+    stack = [
+        (_anywhere(image, rng, 0.2), rng.uniform(0, 2 * np.pi), rng.uniform(50, 200), rng.uniform(2, 16))
+    ]
     drawn = 0
     while stack and drawn < limit:
         start, angle, length, width = stack.pop(0)
@@ -112,7 +114,9 @@ def half_plane(image: Image, rng: Rng) -> None:
             _ties(image, rng, border, across * kerb_width, tone * 0.5)
 
 
-def _ties(image: Image, rng: Rng, border: NDArray[np.floating], reach: NDArray[np.floating], tone: float) -> None:
+def _ties(
+    image: Image, rng: Rng, border: NDArray[np.floating], reach: NDArray[np.floating], tone: float
+) -> None:
     """Short joints across a band along `border`."""
     steps = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(border, axis=0).T))])
     for s in np.arange(0, steps[-1], rng.uniform(12, 60)):
@@ -200,7 +204,9 @@ def furrows(image: Image, rng: Rng) -> None:
     height, width = image.shape[:2]
     angle, period = rng.uniform(0, np.pi), rng.uniform(6, 60)
     x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
-    wave = cv2.resize(rng.normal(0, 1, (5, 5)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
+    wave = cv2.resize(
+        rng.normal(0, 1, (5, 5)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC
+    )
     phase = (x * np.cos(angle) + y * np.sin(angle)) * (2 * np.pi / period) + wave * rng.uniform(0, 2.5)
     rows = np.sin(phase).astype(np.float32)
     if rng.random() < 0.5:

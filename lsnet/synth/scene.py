@@ -21,7 +21,9 @@ MAX_WIDTH_PX = 14.0
 
 def add_cables(image: Image, rng: Rng) -> list[Points]:
     """Draw one or two families of near-parallel cables; the centrelines of what was drawn, in pixels."""
-    centrelines = _family(image, rng, int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.2, 0.25, 0.23, 0.16, 0.1, 0.06])))
+    centrelines = _family(
+        image, rng, int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.2, 0.25, 0.23, 0.16, 0.1, 0.06]))
+    )
     if rng.random() < 0.12:
         centrelines += _family(image, rng, int(rng.integers(1, 3)))
     return centrelines
@@ -44,7 +46,8 @@ def _family(image: Image, rng: Rng, count: int) -> list[Points]:
     finish, thinning = _finish(image, rng), rng.uniform(0.6, 1.0)
     centrelines = []
     for offset in offsets:
-        arc = _arc(rng, centre + across * offset, angle + converge * offset / reach * 4, sag, reach, (height, width))
+        turned = angle + converge * offset / reach * 4
+        arc = _arc(centre + across * offset, turned, sag, (height, width), rng=rng)
         w = float(np.clip(base_width * rng.uniform(0.75, 1.25), 0.9, MAX_WIDTH_PX))
         if rng.random() < 0.15:
             finish = _finish(image, rng)
@@ -53,11 +56,11 @@ def _family(image: Image, rng: Rng, count: int) -> list[Points]:
     return centrelines
 
 
-def _arc(rng: Rng, through: Points, angle: float, sag: float, reach: float, size: tuple[int, int]) -> Arc:
+def _arc(through: Points, angle: float, sag: float, size: tuple[int, int], *, rng: Rng) -> Arc:
     """An arc through a point, past both borders of the image, or ending inside it now and then."""
     angle += rng.normal(0, 0.012)
     along = np.array([np.cos(angle), np.sin(angle)])
-    before, after = 1.2 * reach, 1.2 * reach
+    before = after = 1.2 * float(np.hypot(*size))
     if rng.random() < 0.1:
         after = rng.uniform(0.0, 0.5) * min(size)
     start, end = through - along * before, through + along * after

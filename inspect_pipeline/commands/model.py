@@ -1,0 +1,164 @@
+"""`lsnet-pipe model`: train, export, evaluate and time a network."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from inspect_pipeline.commands.options import JsonOption, RuntimeOption, WeightsOption
+from inspect_pipeline.commands.progress import progress_bar
+
+if TYPE_CHECKING:
+    from lsnet.evaluate import PixelReport, ShareReport
+    from lsnet.train import Progress
+
+app = typer.Typer(
+    help="Train, export, evaluate and time a network.", no_args_is_help=True, rich_markup_mode=None
+)
+
+RunOption = Annotated[Path, typer.Option("--run", metavar="DIR", help="The folder of the run.")]
+
+
+@app.command()
+def train(
+    run: RunOption,
+    background: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DIR[:FIRST]",
+            help="Photographs without lines to draw on; FIRST takes so many, by name. May be repeated.",
+        ),
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Labelled images instead of drawn ones.")
+    ] = None,
+    validation: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Labelled images to validate on, with --data.")
+    ] = None,
+    label: Annotated[list[str] | None, typer.Option(help="A label that counts as a line; else all.")] = None,
+    preset: Annotated[str, typer.Option(help="paper or fast.")] = "fast",
+    steps: Annotated[int, typer.Option(min=1, help="Batches in all.")] = 10_000,
+    batch_size: Annotated[int, typer.Option(min=1)] = 8,
+    learning_rate: Annotated[float, typer.Option(min=0.0)] = 2e-3,
+    crop: Annotated[int, typer.Option(min=64, help="Side of the training images, px.")] = 384,
+    validate_every: Annotated[int, typer.Option(min=1, help="Steps between validations.")] = 500,
+    seed: Annotated[int, typer.Option(help="Same seed, same images and same first weights.")] = 0,
+    threads: Annotated[int, typer.Option(min=1, help="Threads of the training itself.")] = 1,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
+    start: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A best.pt to begin with instead of random weights.")
+    ] = None,
+) -> None:
+    """Train a network on drawn cables, or on your own labelled images (labelme or COCO).
+
+    Kill it and run it again: it goes on where it was. It stops by itself when validation no longer improves.
+
+    Example: lsnet-pipe model train --run runs/a --background photos:500
+
+    Example: lsnet-pipe model train --run runs/rails --data rails/train --validation rails/val --label rail
+    """
+    from lsnet.errors import LSNetError
+    from lsnet.model import PRESETS
+    from lsnet.recipe import TrainingData, open_sources
+    from lsnet.train import TrainConfig, Trainer
+
+    if preset not in PRESETS:
+        raise LSNetError(f"no preset {preset!r}; choose one of {', '.join(PRESETS)}")
+    sources = TrainingData(tuple(background or ()), data, validation, tuple(label or ()), crop, seed)
+    config = TrainConfig(
+        preset=preset,
+        steps=steps,
+        batch_size=batch_size,
+        learning_rate=learning_rate,
+        validate_every=validate_every,
+        threads=threads,
+        workers=workers,
+        data=sources.describe(),
+    )
+    trainer = Trainer(config, run, seed=seed, start=start)
+    with progress_bar("train", steps, done=trainer.step) as advance:
+        trainer.run(*open_sources(sources), report=lambda state: advance(_telling(state), state.step))
+    typer.echo(f"{run / 'best.pt'}: validation loss {trainer.best_loss:.4f}; next: lsnet-pipe model export")
+
+
+def _telling(state: Progress) -> str:
+    text = f"loss {state.loss:.3f} (cells {state.classification:.3f}, endpoints {state.regression:.3f})"
+    if state.validation_loss is not None:
+        text += f", validation {state.validation_loss:.4f}"
+    return f"{text}, {state.images_per_s:.1f} images/s"
+
+
+@app.command()
+def export(
+    run: RunOption,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .safetensors file to write.")],
+    name: Annotated[str, typer.Option(help="What the weights are called.")],
+    min_score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Their score threshold.")] = 0.5,
+    metrics: Annotated[
+        Path | None, typer.Option(help="JSON of `model eval --json`, kept in the file.")
+    ] = None,
+) -> None:
+    """Write the best weights of a run with all that is needed to use them.
+
+    Example: lsnet-pipe model export --run runs/a --name mine -o mine.safetensors --min-score 0.4
+    """
+    from lsnet.recipe import export_run
+
+    sha256 = export_run(run, output, name, min_score, metrics)
+    typer.echo(f"{output}: {name}, sha256 {sha256}")
+
+
+@app.command(name="eval")
+def evaluate(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Evaluation sets.")],
+    weights: WeightsOption = "fast",
+    runtime: RuntimeOption = "auto",
+    min_score: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="Also score at this; else the weights' own.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Score weights on folders of images, at the images' own size.
+
+    A folder holds ID.jpg with ID.boundary.png (contours of the cables), images/ with masks/, or plain images,
+    of which the share with a reported segment is told. ODS is the best F1 over score thresholds.
+
+    Example: lsnet-pipe model eval photos/with_masks photos/without_lines
+    """
+    from lsnet import Detector
+    from lsnet.evaluate import evaluate as evaluate_folder
+    from lsnet.truth import images_of
+
+    own = Detector.load(weights, runtime=runtime, min_score=min_score).min_score
+    detector = Detector.load(weights, runtime=runtime, scale=1.0, min_score=0.05)
+    reports: list[PixelReport | ShareReport] = []
+    with progress_bar("eval", sum(len(images_of(folder)[1]) for folder in folders)) as advance:
+        for folder in folders:
+            reports += evaluate_folder(detector, folder, min_score=own, on_image=advance)
+    for report in reports:
+        typer.echo(json.dumps(report.to_dict()) if as_json else str(report))
+
+
+@app.command()
+def bench(
+    size: Annotated[int, typer.Option(min=32, help="Side of the square images, px.")] = 512,
+    images: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Photographs to use; else drawn scenes.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, help="How long to measure.")] = 5.0,
+    weights: WeightsOption = "fast",
+    runtime: RuntimeOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Time detection, uint8 pixels in, segments out.
+
+    Example: lsnet-pipe model bench --json --size 512 --images photos
+    """
+    from lsnet.speed import measure_speed
+
+    result = measure_speed(weights, runtime, size, images, seconds)
+    typer.echo(json.dumps(asdict(result)) if as_json else str(result))

@@ -1,0 +1,129 @@
+"""`Detector`: images in, detections in the pixels of those images out.
+
+Resizing is done, and undone, here and nowhere else.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from lsnet.errors import LSNetError
+from lsnet.grid import GridCoder
+from lsnet.runtime import open_backend
+from lsnet.segments import Detections, Lines, Segments
+from lsnet.tiles import STRIDE_PX, join, tiles_of
+from lsnet.weights import load_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from lsnet.runtime import Backend
+    from lsnet.weights import Weights
+
+SMALLEST_PX = 32  # one cell
+
+
+class Detector:
+    """A network with its runtime, scale and threshold; a batch equals its singles."""
+
+    def __init__(self, weights: Weights, backend: Backend, scale: float, min_score: float) -> None:
+        self._weights, self._backend = weights, backend
+        self._coder = GridCoder()
+        self.scale, self.min_score = scale, min_score
+
+    @classmethod
+    def load(
+        cls,
+        weights: str | Path = "fast",
+        *,
+        runtime: str = "auto",
+        scale: float | None = None,
+        min_score: float | None = None,
+    ) -> Detector:
+        """A detector by the name or file of its weights.
+
+        scale: frames are resized by it before detection; min_score: least score of a segment that is
+        told. Both default to the weights' own. Raises LSNetError when the weights or the runtime cannot
+        be used or a number is out of range.
+        """
+        loaded = load_weights(weights)
+        scale = loaded.card.scale if scale is None else scale
+        min_score = loaded.card.min_score if min_score is None else min_score
+        if not 0.05 <= scale <= 4:
+            raise LSNetError(f"scale {scale:g} is out of range; give a factor from 0.05 to 4")
+        if not 0 <= min_score <= 1:
+            raise LSNetError(f"minimum score {min_score:g} is out of range; give a number from 0 to 1")
+        return cls(loaded, open_backend(loaded.net, runtime), scale, min_score)
+
+    def describe(self) -> dict[str, str | int | float]:
+        """What was used, for the record: weights, sha256, preset, backend, precision, scale, threshold."""
+        return {
+            "weights": self._weights.card.name,
+            "weights_sha256": self._weights.sha256,
+            "preset": self._weights.card.preset,
+            "backend": self._backend.name,
+            "precision": self._backend.precision,
+            "scale": self.scale,
+            "min_score": self.min_score,
+        }
+
+    @property
+    def threads(self) -> int:
+        """Threads that the backend runs on."""
+        return self._backend.threads
+
+    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
+        """Detections of each uint8 (H, W, 3) RGB image, in its own pixels.
+
+        Raises ValueError for an array of another shape or type.
+        """
+        prepared = [self._prepare(image) for image in images]
+        cut = [tiles_of(p.shape[0], p.shape[1]) for p in prepared]
+        windows = [p[tile.window] for p, tiles in zip(prepared, cut, strict=True) for tile in tiles]
+        maps = iter(self._backend.run(windows))
+        found = []
+        for image, pixels, tiles in zip(images, prepared, cut, strict=True):
+            whole = join(pixels.shape[0], pixels.shape[1], tiles, [next(maps) for _ in tiles])
+            found.append(self._decode(whole, pixels, image))
+        return found
+
+    def _prepare(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Resized by the scale, borders repeated up to multiples of 16."""
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise ValueError(f"images must be uint8 (H, W, 3), not {image.dtype} {image.shape}")
+        if self.scale != 1:
+            how = cv2.INTER_AREA if self.scale < 1 else cv2.INTER_LINEAR
+            height, width = self._scaled_size(image)
+            image = np.asarray(cv2.resize(image, (width, height), interpolation=how), np.uint8)
+        height, width = image.shape[:2]
+        below = max(SMALLEST_PX - height, -height % STRIDE_PX)
+        right = max(SMALLEST_PX - width, -width % STRIDE_PX)
+        return np.pad(image, ((0, below), (0, right), (0, 0)), mode="edge")
+
+    def _scaled_size(self, image: NDArray[np.uint8]) -> tuple[int, int]:
+        return max(1, round(image.shape[0] * self.scale)), max(1, round(image.shape[1] * self.scale))
+
+    def _decode(
+        self,
+        maps: tuple[NDArray[np.float32], NDArray[np.float32]],
+        prepared: NDArray[np.uint8],
+        image: NDArray[np.uint8],
+    ) -> Detections:
+        """Threshold, cells to pixels, padding cut off, resize undone."""
+        source_size = (image.shape[0], image.shape[1])
+        scaled_size = self._scaled_size(image)
+        raw = self._coder.decode(*maps, (prepared.shape[0], prepared.shape[1]), self.min_score)
+        limit = np.array([scaled_size[1], scaled_size[0]] * 2, np.float32)
+        beyond = (raw.endpoints >= limit).reshape(-1, 2, 2)  # of each endpoint, in x and in y
+        is_padding = np.any(np.all(beyond, axis=1), axis=1)
+        clipped = Segments(
+            np.minimum(raw.endpoints, limit)[~is_padding], raw.scores[~is_padding], scaled_size
+        )
+        segments = clipped if scaled_size == source_size else clipped.scaled_to(source_size)
+        return Detections(segments, Lines.empty(source_size))

@@ -1,0 +1,135 @@
+"""One's own labelled images as training data: labelme files beside the images, or one COCO file.
+
+    labelme   NAME.json beside each image, with shapes of type line or linestrip
+    COCO      annotations.json: "images" with file_name, "annotations" with "line" or "segmentation" as
+              flat lists x1, y1, x2, y2, ... of each polyline
+
+Any label counts as a line unless `labels` names the ones that do.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from lsnet.errors import LSNetError
+from lsnet.synth.augment import augment
+from lsnet.synth.backgrounds import SUFFIXES, load_rgb
+from lsnet.synth.dataset import Sample
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Points = NDArray[np.float64]
+    Rng = np.random.Generator
+
+COCO_FILE = "annotations.json"
+LINE_SHAPES = {"line", "linestrip"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledImage:
+    """An image file and its polylines, (K, 2) x, y in pixels of the image as stored."""
+
+    path: Path
+    lines: list[Points]
+
+
+def load_labels(folder: Path, labels: tuple[str, ...] = ()) -> list[LabelledImage]:
+    """The labelled images of a folder, by file name.
+
+    Raises LSNetError when the folder holds no labels or a label file is malformed.
+    """
+    coco = folder / COCO_FILE
+    try:
+        found = _from_coco(coco, labels) if coco.is_file() else _from_labelme(folder, labels)
+    except (OSError, ValueError, KeyError, TypeError) as err:
+        raise LSNetError(
+            f"{folder}: labels cannot be read ({err}); see lsnet-pipe model train --help"
+        ) from err
+    if not found:
+        raise LSNetError(f"{folder}: no labelled images; put labelme files beside the images, or {COCO_FILE}")
+    return found
+
+
+def _from_labelme(folder: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
+    found = []
+    for path in sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES):
+        label_file = path.with_suffix(".json")
+        if not label_file.is_file():
+            continue
+        shapes = json.loads(label_file.read_text(encoding="utf-8"))["shapes"]
+        lines = [
+            _polyline(shape["points"])
+            for shape in shapes
+            if shape["shape_type"] in LINE_SHAPES and (not labels or shape["label"] in labels)
+        ]
+        found.append(LabelledImage(path, lines))
+    return found
+
+
+def _from_coco(path: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    names = {c["id"]: c["name"] for c in content.get("categories", [])}
+    images = {
+        image["id"]: LabelledImage(path.parent / image["file_name"], [])
+        for image in sorted(content["images"], key=lambda image: str(image["file_name"]))
+    }
+    for annotation in content["annotations"]:
+        if labels and names.get(annotation.get("category_id")) not in labels:
+            continue
+        images[annotation["image_id"]].lines.extend(_polyline(flat) for flat in _flat_lists(annotation))
+    return list(images.values())
+
+
+def _flat_lists(annotation: dict[str, Any]) -> list[list[float]]:
+    lists = annotation["line"] if "line" in annotation else annotation["segmentation"]
+    return [lists] if lists and not isinstance(lists[0], list) else lists
+
+
+def _polyline(points: list[Any]) -> Points:
+    polyline = np.asarray(points, float).reshape(-1, 2)
+    if len(polyline) < 2 or not np.isfinite(polyline).all():
+        raise ValueError("a line needs two or more finite points")
+    return polyline
+
+
+class LabelledScenes:
+    """Random crops of labelled images: zoomed, turned, mirrored, augmented. Sample i is always the same."""
+
+    def __init__(self, images: list[LabelledImage], size: int = 384, seed: int = 0) -> None:
+        self.size, self._seed = size, seed
+        self._images, self._pixels = images, [load_rgb(image.path) for image in images]
+
+    def __getitem__(self, index: int) -> Sample:
+        rng = np.random.default_rng([self._seed, index])
+        which = int(rng.integers(len(self._images)))
+        pixels, lines = zoom_and_turn(self._pixels[which], self._images[which].lines, rng, self.size)
+        pixels, lines = augment(pixels, lines, rng)
+        return Sample(np.clip(np.round(pixels), 0, 255).astype(np.uint8), lines)
+
+
+def zoom_and_turn(
+    image: NDArray[np.uint8], lines: list[Points], rng: Rng, size: int
+) -> tuple[NDArray[np.float32], list[Points]]:
+    """A (size, size) float32 crop at a random place, zoom, angle and mirroring, with its lines.
+
+    One affine map takes image and lines; pixel centres are at i + 0.5, which OpenCV does not count in.
+    """
+    height, width = image.shape[:2]
+    zoom = np.exp(rng.uniform(np.log(0.7), np.log(1.6))) * max(1.0, size / min(height, width))
+    angle = rng.normal(0, 0.25) + rng.integers(4) * np.pi / 2
+    turn = zoom * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    if rng.random() < 0.5:
+        turn = turn @ np.diag([-1.0, 1.0])
+    centre = np.array([rng.uniform(0.2, 0.8) * width, rng.uniform(0.2, 0.8) * height])
+    shift = np.array([size / 2, size / 2]) - turn @ centre
+    matrix = np.column_stack([turn, shift + turn @ np.array([0.5, 0.5]) - 0.5])
+    crop = cv2.warpAffine(image, matrix, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    return crop.astype(np.float32), [line @ turn.T + shift for line in lines]

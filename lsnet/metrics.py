@@ -1,0 +1,127 @@
+"""How good detections are: pixel precision and recall with a tolerance, and structural AP.
+
+Pixel scores compare a confidence map of one-pixel lines with a `PixelTruth`: precision is the share of drawn
+pixels within the tolerance of a cable's mask, recall the share of centreline pixels that have a drawn
+pixel within the tolerance plus the cable's half width. Counts are pooled over a set before dividing; ODS is
+the best F1 over one threshold for the whole set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+THRESHOLDS = np.linspace(0.05, 0.95, 19)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelTruth:
+    """Where the cables of one image are.
+
+    mask: (H, W) bool, their whole width; centreline: (H, W) bool, one pixel wide; half_width_px: (H, W)
+    float32, at least on the centreline.
+    """
+
+    mask: NDArray[np.bool_]
+    centreline: NDArray[np.bool_]
+    half_width_px: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class PixelScore:
+    """Pooled over a set at one threshold; mean_f1 is the mean over images of each one's own F1."""
+
+    threshold: float
+    precision: float
+    recall: float
+    f1: float
+    mean_f1: float
+
+
+def _distance_to(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distance of each pixel to the nearest set one, far beyond any tolerance where there is none."""
+    if not mask.any():
+        return np.full(mask.shape, 1e3, np.float32)
+    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+
+
+def pixel_counts(
+    confidence: NDArray[np.float32], truth: PixelTruth, tolerance_px: float, thresholds: NDArray[np.floating]
+) -> NDArray[np.int64]:
+    """(T, 4) at each threshold: right and all drawn pixels, found and all centreline pixels."""
+    is_near_cable = _distance_to(truth.mask) <= tolerance_px
+    counts = np.zeros((len(thresholds), 4), np.int64)
+    for i, threshold in enumerate(thresholds):
+        drawn = confidence >= threshold
+        found = truth.centreline & (_distance_to(drawn) <= tolerance_px + truth.half_width_px)
+        counts[i] = [(drawn & is_near_cable).sum(), drawn.sum(), found.sum(), truth.centreline.sum()]
+    return counts
+
+
+def pixel_scores(counts: NDArray[np.int64], thresholds: NDArray[np.floating]) -> list[PixelScore]:
+    """Scores at each threshold from the counts of each image, (images, T, 4)."""
+    pooled, own = _rates(counts.sum(axis=0)), _rates(counts)
+    return [
+        PixelScore(float(t), float(p), float(r), float(f1), float(mean_f1))
+        for t, (p, r, f1), mean_f1 in zip(thresholds, pooled, own[..., 2].mean(axis=0), strict=True)
+    ]
+
+
+def _rates(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(..., 3) precision, recall, F1 from (..., 4) counts."""
+    precision = counts[..., 0] / np.maximum(counts[..., 1], 1)
+    recall = counts[..., 2] / np.maximum(counts[..., 3], 1)
+    f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-9)
+    return np.stack([precision, recall, f1], axis=-1)
+
+
+def structural_ap(
+    detected: Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]],
+    truth: Sequence[NDArray[np.floating]],
+    image_sizes: Sequence[tuple[int, int]],
+    threshold: float,
+) -> float:
+    """Structural AP of segments (N, 4) with scores (N,) against true segments (M, 4), one entry an image.
+
+    Endpoints are scaled to 128 x 128; a detection, in order of score, is right when the sum of the two
+    squared endpoint distances to its nearest true segment, over both orders, is under `threshold` and that
+    segment is not taken yet. Area under the monotone envelope of precision over recall.
+    """
+    scores, hits = [], []
+    for (endpoints, own_scores), true, (height, width) in zip(detected, truth, image_sizes, strict=True):
+        scale = np.array([128 / width, 128 / height] * 2)
+        order = np.argsort(-own_scores, kind="stable")
+        scores.append(own_scores[order])
+        hits.append(_greedy_hits(endpoints[order] * scale, true * scale, threshold))
+    total = sum(len(t) for t in truth)
+    order = np.argsort(-np.concatenate(scores), kind="stable")
+    hit = np.concatenate(hits)[order]
+    if not total or not len(hit):
+        return 0.0
+    right = np.cumsum(hit)
+    precision = np.maximum.accumulate((right / np.arange(1, len(hit) + 1))[::-1])[::-1]
+    return float((precision * np.diff(np.concatenate([[0], right])) / total).sum())
+
+
+def _greedy_hits(
+    detected: NDArray[np.floating], true: NDArray[np.floating], threshold: float
+) -> NDArray[np.bool_]:
+    hits, taken = np.zeros(len(detected), bool), np.zeros(len(true), bool)
+    if not len(true):
+        return hits
+    direct = ((detected[:, None] - true[None]) ** 2).sum(-1)
+    swapped = ((detected[:, None, [2, 3, 0, 1]] - true[None]) ** 2).sum(-1)
+    distance = np.minimum(direct, swapped)
+    nearest = distance.argmin(axis=1)
+    for i, j in enumerate(nearest):
+        if distance[i, j] < threshold and not taken[j]:
+            hits[i] = taken[j] = True
+    return hits

@@ -1,0 +1,85 @@
+"""From the command line to a run and from a run to weights: what is trained on, and what is shipped."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from lsnet.errors import LSNetError
+from lsnet.labelled import LabelledScenes, load_labels
+from lsnet.model import PRESETS, LSNet
+from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
+from lsnet.synth.dataset import SyntheticScenes
+from lsnet.weights import WeightsCard, save_weights
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lsnet.train import SampleSource
+
+VALIDATION_SEED = 1_000_000  # added to the seed: no validation image is ever trained on
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingData:
+    """Where samples come from: `backgrounds` as DIR[:FIRST] to draw on, or `data` with labels."""
+
+    backgrounds: tuple[str, ...]
+    data: Path | None
+    validation: Path | None
+    labels: tuple[str, ...]
+    size: int
+    seed: int
+
+    def describe(self) -> str:
+        """One line for the recipe: names, not paths."""
+        if self.data:
+            return f"labelled {self.data.name}, {self.size} px, seed {self.seed}"
+        names = [str(BackgroundFolder.parse(text)) for text in self.backgrounds]
+        return f"drawn on {', '.join(names) or 'plain grounds'}, {self.size} px, seed {self.seed}"
+
+
+def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
+    """Samples to train and to validate on. Raises LSNetError for unusable folders."""
+    if data.data is None:
+        pool = BackgroundPool([BackgroundFolder.parse(text) for text in data.backgrounds])
+        drawn = [SyntheticScenes(pool, data.size, seed) for seed in (data.seed, data.seed + VALIDATION_SEED)]
+        return drawn[0], drawn[1]
+    if data.validation is None:
+        raise LSNetError("--data needs --validation with other labelled images, to know when to stop")
+    train, validation = (load_labels(folder, data.labels) for folder in (data.data, data.validation))
+    return (
+        LabelledScenes(train, data.size, data.seed),
+        LabelledScenes(validation, data.size, data.seed + VALIDATION_SEED),
+    )
+
+
+def export_run(run: Path, output: Path, name: str, min_score: float, metrics: Path | None) -> str:
+    """Write the averaged weights of a run with the least validation loss; the sha256 of the file.
+
+    Raises LSNetError when the folder holds no finished validation or the metrics are no JSON lines.
+    """
+    try:
+        best = torch.load(run / "best.pt", weights_only=True)
+        recipe: dict[str, Any] = torch.load(run / "last.pt", weights_only=True)["recipe"]
+    except OSError as err:
+        raise LSNetError(f"{run}: no best.pt and last.pt in it; train a run to its first validation") from err
+    try:
+        measured = [json.loads(line) for line in metrics.read_text().splitlines()] if metrics else []
+    except (OSError, ValueError) as err:
+        raise LSNetError(f"{metrics}: not the output of lsnet-pipe model eval --json") from err
+    config = PRESETS[recipe["preset"]]
+    net = LSNet(config)
+    net.load_state_dict(best["average"])
+    card = WeightsCard(
+        name=name,
+        preset=recipe["preset"],
+        network=config,
+        min_score=min_score,
+        recipe=recipe | {"trained_steps": best["step"]},
+        metrics={"evaluated": measured},
+    )
+    return save_weights(output, net, card)

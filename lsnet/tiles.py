@@ -1,0 +1,74 @@
+"""Large frames in overlapping tiles whose raw maps are put together before anything is decoded.
+
+Each position of the whole map is taken from the one tile in which it lies deepest, so there are no seams to
+mend and no doubles to remove. A tile's maps equal the whole frame's wherever its border is out of sight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+TILE_PX = 1024  # longest side run in one piece
+MARGIN_PX = 128  # of sight given to each tile beyond what is taken from it
+STRIDE_PX = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A window of the frame, pixels, and the map rows and columns taken from it (whole-map positions)."""
+
+    window: tuple[slice, slice]
+    taken: tuple[slice, slice]
+
+    def inner(self) -> tuple[slice, slice]:
+        """`taken` in positions of the tile's own map."""
+        return tuple(  # type: ignore[return-value]
+            slice(t.start - w.start // STRIDE_PX, t.stop - w.start // STRIDE_PX)
+            for t, w in zip(self.taken, self.window, strict=True)
+        )
+
+
+def tiles_of(height: int, width: int) -> list[Tile]:
+    """Tiles of a frame whose sides are multiples of 16; one tile when it is small."""
+    return [
+        Tile((window_y, window_x), (taken_y, taken_x))
+        for window_y, taken_y in _cuts(height)
+        for window_x, taken_x in _cuts(width)
+    ]
+
+
+def _cuts(side: int) -> Iterator[tuple[slice, slice]]:
+    """Windows along one side with the map positions taken from each: all positions, each once."""
+    positions = side // STRIDE_PX - 1
+    if side <= TILE_PX:
+        yield slice(0, side), slice(0, positions)
+        return
+    step = TILE_PX - 2 * MARGIN_PX
+    count = -(-(side - 2 * MARGIN_PX) // step)
+    starts = [min(i * step, side - TILE_PX) for i in range(count)]
+    for i, start in enumerate(starts):
+        first = 0 if i == 0 else (start + MARGIN_PX) // STRIDE_PX
+        last = positions if i == count - 1 else (starts[i + 1] + MARGIN_PX) // STRIDE_PX
+        yield slice(start, start + TILE_PX), slice(first, last)
+
+
+def join(height: int, width: int, tiles: Sequence[Tile], maps: Sequence[Maps]) -> Maps:
+    """The maps of a whole frame from those of its tiles."""
+    if len(tiles) == 1:
+        return maps[0]
+    scores = np.empty((height // STRIDE_PX - 1, width // STRIDE_PX - 1), np.float32)
+    endpoints = np.empty((*scores.shape, 4), np.float32)
+    for tile, (tile_scores, tile_endpoints) in zip(tiles, maps, strict=True):
+        scores[tile.taken] = tile_scores[tile.inner()]
+        endpoints[tile.taken] = tile_endpoints[tile.inner()]
+    return scores, endpoints

@@ -6,7 +6,11 @@ import typer
 
 from inspect_pipeline.commands.options import StoreOption
 
-app = typer.Typer(help="Keep the index in step with the flights of the store.", no_args_is_help=True)
+app = typer.Typer(
+    help="Keep the index in step with the flights of the store.",
+    epilog="Example: lsnet-pipe index verify",
+    no_args_is_help=True,
+)
 
 
 @app.command()

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from lsnet.train import Progress
 
 app = typer.Typer(
-    help="Train, export, evaluate and time a network.", no_args_is_help=True, rich_markup_mode=None
+    help="Train, export, evaluate and time a network.",
+    epilog="Example: lsnet-pipe model bench",
+    no_args_is_help=True,
 )
 
 RunOption = Annotated[Path, typer.Option("--run", metavar="DIR", help="The folder of the run.")]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,13 +17,13 @@ from inspect_pipeline.commands.options import (
     WeightsOption,
     parse_time_ns,
 )
+from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
-    from inspect_pipeline.pipeline import Progress
     from inspect_pipeline.types import ProcessResult
 
-_TABLE = (
-    "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>4}  {n_segments:>10}  {seconds:>8}  {source}"
+_ROW = (
+    "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>12}  {n_segments:>10}  {seconds:>7}  {source}"
 )
 
 
@@ -66,13 +63,22 @@ def process(
     the_store = Store(store_path(store))
     detector = Detector.load(weights, scale=scale, min_score=min_score)
     run = config.start_run(detector, options)
+
+    def process_one(path: Path) -> ProcessResult:
+        with progress_bar(path.name, None) as advance:
+            return pipeline.process(
+                path,
+                the_store,
+                detector,
+                options,
+                run,
+                on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
+            )
+
     results, exit_code = [], 0
     for path in files:
         try:
-            with _progress_bar(path) as on_progress:
-                results.append(
-                    pipeline.process(path, the_store, detector, options, run, on_progress=on_progress)
-                )
+            results.append(process_one(path))
         except InspectError as error:
             typer.echo(f"error: {error}", err=True)
             exit_code = error.exit_code
@@ -84,32 +90,11 @@ def process(
     raise typer.Exit(exit_code)
 
 
-@contextmanager
-def _progress_bar(path: Path) -> Iterator[Callable[[Progress], object]]:
-    """A bar on stderr while a person is watching."""
-    if not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from rich import progress
-    from rich.console import Console
-
-    columns = (
-        progress.TextColumn("{task.description}"),
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        progress.TextColumn("frames"),
-        progress.TimeRemainingColumn(),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(path.name, total=None)
-        yield lambda state: bar.update(task, completed=state.n_frames, total=state.n_expected)
-
-
 def _print_results(results: list[ProcessResult], *, as_json: bool) -> None:
     if results and not as_json:
-        typer.echo(_TABLE.format_map({name: name for name in results[0].__dataclass_fields__}))
+        typer.echo(_ROW.format_map({name: name for name in results[0].__dataclass_fields__}))
     for result in results:
         if as_json:
             typer.echo(json.dumps(asdict(result), default=str))
         else:
-            typer.echo(_TABLE.format_map(asdict(result) | {"flight_id": result.flight_id[:16]}))
+            typer.echo(_ROW.format_map(asdict(result) | {"flight_id": result.flight_id[:16]}))

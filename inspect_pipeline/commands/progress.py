@@ -11,16 +11,18 @@ if TYPE_CHECKING:
 
 
 class Advance(Protocol):
-    """Move the bar by one, or to `completed`, with a few words about where it is."""
+    """Move the bar by one, or to `completed`, with words about where it is; `total` may be told late."""
 
-    def __call__(self, words: str | None = None, completed: int | None = None) -> None: ...
+    def __call__(
+        self, words: str | None = None, completed: int | None = None, total: int | None = None
+    ) -> None: ...
 
 
 @contextmanager
-def progress_bar(name: str, total: int, done: int = 0) -> Iterator[Advance]:
-    """A bar of `total` steps, `done` of which lie behind."""
+def progress_bar(name: str, total: int | None, done: int = 0) -> Iterator[Advance]:
+    """A bar of `total` steps, None while that is not known, `done` of which lie behind."""
     if not sys.stderr.isatty():
-        yield lambda words=None, completed=None: None  # noqa: ARG005
+        yield lambda words=None, completed=None, total=None: None  # noqa: ARG005
         return
     from rich import progress
     from rich.console import Console
@@ -34,8 +36,8 @@ def progress_bar(name: str, total: int, done: int = 0) -> Iterator[Advance]:
     with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(name, total=total, completed=done)
 
-        def advance(words: str | None = None, completed: int | None = None) -> None:
-            bar.update(task, description=words or name, completed=completed)
+        def advance(words: str | None = None, completed: int | None = None, total: int | None = None) -> None:
+            bar.update(task, description=words or name, completed=completed, total=total)
             if completed is None:
                 bar.advance(task)
 

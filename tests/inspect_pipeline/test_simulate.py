@@ -1,0 +1,123 @@
+"""Simulated recordings: read back by the plain reader, their truth checked against their pictures."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from mcap.reader import make_reader
+
+from inspect_pipeline.errors import OutputError
+from inspect_pipeline.simulate import SimulationOptions, simulate_flight
+from inspect_pipeline.simulate_scene import conductors, look, visible_runs
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+OPTIONS = SimulationOptions(seconds=2, fps=2, image_size=(360, 640), seed=3)
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("flight") / "demo.mcap"
+    assert simulate_flight(path, OPTIONS) == path.with_name("demo.truth.json")
+    return path
+
+
+def read(path: Path, kind: Any, topic: str) -> list[tuple[int, Any]]:
+    with path.open("rb") as file:
+        messages = make_reader(file).iter_messages([topic])
+        return [
+            (m.log_time, kind.FromString(m.data))
+            for schema, _, m in messages
+            if schema.encoding == "protobuf"
+        ]
+
+
+def pixels_of(message: CompressedImage) -> NDArray[np.uint8]:
+    return cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE)
+
+
+def truth_of(path: Path) -> list[dict[str, Any]]:
+    return json.loads(path.with_name("demo.truth.json").read_text())["frames"]
+
+
+def test_the_recording_holds_images_positions_and_calibrations(flight: Path) -> None:
+    images = read(flight, CompressedImage, "/camera/image")
+    assert [pixels_of(image).shape for _, image in images] == [(360, 640)] * 4
+    assert [time for time, _ in images] == [frame["log_time_ns"] for frame in truth_of(flight)]
+    assert all(image.timestamp.ToNanoseconds() == time for time, image in images)
+    ((_, first), *_) = calibrations = read(flight, CameraCalibration, "/camera/calibration")
+    assert len(calibrations) == 4
+    assert (first.width, first.height, first.K[2], first.K[5]) == (640, 360, 319.5, 179.5)
+    positions = [fix for _, fix in read(flight, LocationFix, "/drone/location")]
+    assert len(positions) == 16  # ten a second until the last image
+    east_m = (positions[-1].longitude - positions[0].longitude) * 111_320 * np.cos(np.deg2rad(52.09))
+    assert east_m == pytest.approx(7.5, abs=0.01)
+
+
+def test_the_truth_lies_on_the_conductors(flight: Path) -> None:
+    """Across each line the picture is brightest in the middle: conductors are lighter than the ground."""
+    offsets = np.arange(-4, 4.1, 0.5)
+    images = [
+        pixels_of(message).astype(np.float32) for _, message in read(flight, CompressedImage, "/camera/image")
+    ]
+    for image, frame in zip(images, truth_of(flight), strict=True):
+        assert len(frame["lines"]) == 4
+        for line in frame["lines"]:
+            points = np.array(line["points"])
+            along = np.diff(points, axis=0)
+            across = np.column_stack((-along[:, 1], along[:, 0])) / np.hypot(*along.T)[:, np.newaxis]
+            middles = (points[:-1] + points[1:]) / 2
+            profile = [sample(image, middles + offset * across).mean() for offset in offsets]
+            assert abs(offsets[np.argmax(profile)]) <= 0.5
+            assert max(profile) > np.median(profile) + 5
+            assert 0.5 < min(line["width_px"]) < max(line["width_px"]) < 6
+
+
+def sample(image: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The image at points whose origin is the corner of the top-left pixel."""
+    x, y = (points - 0.5).astype(np.float32).T
+    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
+
+
+def test_a_seed_is_a_flight(flight: Path, tmp_path: Path) -> None:
+    again, other = tmp_path / "again.mcap", tmp_path / "other.mcap"
+    simulate_flight(again, OPTIONS)
+    assert again.read_bytes() == flight.read_bytes()
+    simulate_flight(other, SimulationOptions(seconds=0.5, fps=2, image_size=(360, 640), seed=4))
+    first, second = (read(path, CompressedImage, "/camera/image")[0][1].data for path in (flight, other))
+    assert first != second
+
+
+def test_what_exists_is_kept(flight: Path) -> None:
+    before = flight.read_bytes()
+    with pytest.raises(OutputError, match="it exists already; remove it"):
+        simulate_flight(flight, OPTIONS)
+    assert flight.read_bytes() == before
+    with pytest.raises(OutputError, match="cannot be written"):
+        simulate_flight(flight.parent / "no" / "demo.mcap", OPTIONS)
+
+
+def test_a_camera_by_hand() -> None:
+    """Straight down from 10 m with 100 px of focal length: 1 m is 10 px, x is up in the image, y left."""
+    camera = look(np.array([0.0, 0.0, 10.0]), 0.0, np.pi / 2, 100.0, (200, 300))
+    pixels, depths = camera.project(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 5.0]]))
+    np.testing.assert_allclose(pixels, [[150, 100], [150, 90], [110, 100]], atol=1e-9)
+    np.testing.assert_allclose(depths, [10, 10, 5])
+
+
+def test_runs_end_at_the_image() -> None:
+    camera = look(np.array([0.0, 0.0, 30.0]), 0.0, np.pi / 2, 200.0, (200, 300))
+    for conductor in conductors(-40, 40):
+        ((pixels, widths_px),) = visible_runs(camera, conductor)
+        assert sorted((pixels[0, 1], pixels[-1, 1])) == pytest.approx([0, 200], abs=0.5)
+        assert widths_px == pytest.approx(conductor.diameter_m * 200 / (30 - 11), rel=0.3)

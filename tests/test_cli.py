@@ -1,0 +1,337 @@
+"""The command line as its users meet it: what is printed where, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import pytest
+from factories import ENCODINGS, Encoding, make_recording, shots
+from fakes import FakeDetector
+
+import cli
+import lsnet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+HELP = (
+    "",
+    "process",
+    "query",
+    "info",
+    "detect",
+    "overlay",
+    "simulate",
+    "doctor",
+    "index rebuild",
+    "model bench",
+)
+
+
+class Outcome:
+    """What a command left: exit code, stdout and stderr."""
+
+    def __init__(self, exit_code: int, out: str, err: str) -> None:
+        self.exit_code, self.out, self.err = exit_code, out, err
+
+
+@pytest.fixture
+def run(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> Iterator[Callable[..., Outcome]]:
+    """Run `lsnet-pipe ...` in this process, with a fake detector, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LSNET_PIPE_STORE", str(tmp_path / "store"))
+    monkeypatch.setattr(lsnet, "Detector", FakeDetector)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def run(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["lsnet-pipe", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capfd.readouterr()
+        return Outcome(int(ended.value.code or 0), captured.out, captured.err)
+
+    yield run
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def test_process_prints_one_object_per_recording(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    make_recording(tmp_path / "b.mcap", shots(4, "/other"))
+    outcome = run("process", "a.mcap", "b.mcap", "--json")
+    first, second = map(json.loads, outcome.out.splitlines())
+    assert (outcome.exit_code, outcome.err) == (0, "")
+    assert (first["source"], first["status"], first["n_frames"], first["n_segments"]) == (
+        "a.mcap",
+        "ok",
+        3,
+        3,
+    )
+    assert (first["n_bad_frames"], second["n_frames"]) == (0, 4)
+    assert first["annotated"] == f"{tmp_path}/store/flights/{first['flight_id'][:16]}/annotated.mcap"
+    assert os.path.getsize(first["annotated"]) > (tmp_path / "a.mcap").stat().st_size  # noqa: PTH202
+    assert set(first) == {
+        *("flight_id", "source", "status", "annotated"),
+        *("n_frames", "n_bad_frames", "n_segments", "seconds"),
+    }
+
+
+def test_process_prints_a_table(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    head, row = run("process", "a.mcap").out.splitlines()
+    assert head.split()[:3] == ["flight_id", "status", "n_frames"]
+    assert row.split()[1:5] == ["ok", "3", "0", "3"]
+    assert run("process", "a.mcap").out.splitlines()[1].split()[1] == "skipped"
+
+
+def test_process_then_query(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    run("process", "a.mcap")
+    outcome = run("query", "SELECT frame_idx, n_segments FROM frames ORDER BY ALL", "--format", "json")
+    assert json.loads(outcome.out) == [{"frame_idx": i, "n_segments": i} for i in range(3)]
+
+
+def test_process_reaches_the_options(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", [*shots(9), *shots(9, "/other")])
+    times = ("--start", "2023-11-14T22:13:21Z", "--end", "1700000003000000000")
+    outcome = run("process", "a.mcap", "--topic", "/other", "--every", 2, *times, "--json")
+    assert outcome.err == ""
+    assert json.loads(outcome.out)["n_frames"] == 2
+    frames = run(
+        "query", "SELECT frame_idx, topic FROM frames JOIN channels USING (channel_id)", "--format", "csv"
+    )
+    assert frames.out.split() == ["frame_idx,topic", "2,/other", "4,/other"]
+    outcome = run("process", "a.mcap", "--weights", "w", "--scale", 0.5, "--min-score", 0.25, "--force")
+    assert outcome.exit_code == 0
+    (row,) = json.loads(run("query", "SELECT config FROM runs", "--format", "json").out)
+    config = row["config"] if isinstance(row["config"], dict) else json.loads(row["config"])
+    assert config["detector"] | {"weights": "w", "scale": 0.5, "min_score": 0.25} == config["detector"]
+
+
+def test_process_goes_on_past_a_bad_recording(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"no recording")
+    make_recording(tmp_path / "good.mcap", shots(2))
+    outcome = run("process", "bad.mcap", "good.mcap", "--json")
+    assert (outcome.exit_code, json.loads(outcome.out)["status"]) == (1, "ok")
+    assert outcome.err.startswith("error: bad.mcap: ")
+    assert run("query", "SELECT count(*) AS n FROM flights", "--format", "csv").out.split() == ["n", "1"]
+
+
+def _not_an_mcap(path: Path) -> None:
+    path.write_bytes(b"GIF89a" * 100)
+
+
+def _empty(path: Path) -> None:
+    path.touch()
+
+
+def _folder(path: Path) -> None:
+    path.mkdir()
+
+
+def _missing(path: Path) -> None:
+    pass
+
+
+def _no_camera(path: Path) -> None:
+    make_recording(path, [])
+
+
+def _unknown_encoding(path: Path) -> None:
+    odd = Encoding("foxglove.CompressedImage", "", b"", "bson", ENCODINGS["protobuf"].encode)
+    make_recording(path, shots(2), encoding=odd)
+
+
+def _truncated(path: Path) -> None:
+    make_recording(path, shots(40))
+    os.truncate(path, path.stat().st_size // 2)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_not_an_mcap, "MCAP"),
+        (_empty, "empty"),
+        (_folder, "not a file"),
+        (_missing, "there is no such file"),
+        (_no_camera, "no camera topic"),
+        (_unknown_encoding, "bson"),
+        (_truncated, "cut off"),
+    ],
+)
+def test_what_cannot_be_processed_is_one_line(
+    run: Callable[..., Outcome], tmp_path: Path, spoil: Callable[[Path], None], words: str
+) -> None:
+    spoil(tmp_path / "a.mcap")
+    outcome = run("process", "a.mcap")
+    assert (outcome.exit_code, outcome.out) == (1, "")
+    assert outcome.err.count("\n") == 1
+    assert outcome.err.startswith("error: a.mcap: ")
+    assert words in outcome.err
+    assert ";" in outcome.err  # what to do about it
+    assert not list((tmp_path / "store").rglob("*.mcap"))
+
+
+@pytest.mark.parametrize("command", ["process", "info"])
+def test_a_missing_recording_is_told_alike(run: Callable[..., Outcome], command: str) -> None:
+    outcome = run(command, "none.mcap")
+    assert outcome.err == "error: none.mcap: there is no such file; check the name\n"
+    assert outcome.exit_code == 1
+
+
+@pytest.mark.parametrize("store", ["taken", "taken/below", "/sys/lsnet-pipe"])
+def test_a_store_that_cannot_be_written_is_one_line(
+    run: Callable[..., Outcome], tmp_path: Path, store: str
+) -> None:
+    """A file in its place, a file above it, and a file system that nobody can write to."""
+    (tmp_path / "taken").touch()
+    make_recording(tmp_path / "a.mcap", shots(2))
+    outcome = run("process", "a.mcap", "a.mcap", "--store", store)
+    assert (outcome.exit_code, outcome.out) == (1, "")
+    assert outcome.err.count("\n") == 1
+    assert store in outcome.err
+    assert "--store" in outcome.err
+
+
+def test_a_read_only_store_is_one_line(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(2))
+    store = tmp_path / "read-only"
+    store.mkdir()
+    try:
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "ro", "none", store], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("needs the right to mount")
+    try:
+        outcome = run("process", "a.mcap", "--store", store)
+    finally:
+        subprocess.run(["umount", store], check=True)
+    assert (outcome.exit_code, outcome.err.count("\n")) == (1, 1)
+    assert "read-only" in outcome.err
+
+
+def test_errors_of_the_detector_are_one_line(
+    run: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*arguments: Any, **options: Any) -> None:
+        raise lsnet.LSNetError("no weights named 'mine'; there are: fast")
+
+    monkeypatch.setattr(FakeDetector, "load", refuse)
+    outcome = run("process", "a.mcap", "--weights", "mine")
+    assert (outcome.exit_code, outcome.err) == (1, "error: no weights named 'mine'; there are: fast\n")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["process"],
+        ["proces", "a.mcap"],
+        ["process", "a.mcap", "--every", "0"],
+        ["process", "a.mcap", "--start", "yesterday"],
+        ["simulate", "a.mcap", "--size", "big"],
+        ["query", "SELECT 1", "--format", "xml"],
+    ],
+)
+def test_wrong_usage_exits_2_in_plain_text(run: Callable[..., Outcome], arguments: list[str]) -> None:
+    outcome = run(*arguments)
+    assert (outcome.exit_code, outcome.out) == (2, "")
+    assert "Error: " in outcome.err
+    assert outcome.err.isascii()
+
+
+@pytest.mark.parametrize("command", HELP)
+def test_help_has_an_example(run: Callable[..., Outcome], command: str) -> None:
+    outcome = run(*command.split(), "--help")
+    assert (outcome.exit_code, outcome.err) == (0, "")
+    assert f"Example: lsnet-pipe {command}" in outcome.out
+    assert outcome.out.isascii()
+
+
+def test_version(run: Callable[..., Outcome]) -> None:
+    assert run("--version").out.startswith("lsnet-pipe 0.")
+
+
+def test_info(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    out = run("info", "a.mcap").out
+    assert "/camera/image/compressed: 3 messages (foxglove.CompressedImage, protobuf)" in out
+    assert "/gps: 6 messages (Gps, json)" in out
+    assert "2023-11-14 22:13:20 to 2023-11-14 22:13:21 UTC" in out
+    assert out.splitlines()[-1].split() == ["process", "/camera/image/compressed"]
+    run("process", "a.mcap")
+    (copy,) = tmp_path.rglob("annotated.mcap")
+    assert "nothing: this is an annotated copy" in run("info", copy).out
+
+
+def test_doctor(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    outcome = run("doctor")
+    assert outcome.exit_code == 0
+    assert "none yet" in outcome.out
+    make_recording(tmp_path / "a.mcap", shots(2))
+    run("process", "a.mcap")
+    assert "1 flights, 0 damaged" in run("doctor").out
+    (tmp_path / "store" / "index.duckdb").unlink()
+    outcome = run("doctor")
+    assert outcome.exit_code == 1
+    assert "lsnet-pipe index rebuild" in outcome.out
+
+
+def test_overlay(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    flight = json.loads(run("process", "a.mcap", "--json").out)["flight_id"]
+    assert "frame 2 of /camera/image/compressed, 2 segments" in run("overlay", flight[:6], "-o", "o.png").out
+    assert cv2.imread("o.png").shape == (12, 16, 3)
+    assert "frame 1 of" in run("overlay", flight, "--frame", 1, "-o", "o.jpg").out
+    for arguments, words in (
+        ((flight, "--frame", 9, "-o", "o.png"), "no decoded frame like that"),
+        (("xyz", "-o", "o.png"), "not the beginning of a flight_id"),
+        ((flight, "-o", "o.txt"), "end it in .png or .jpg"),
+        ((flight, "-o", "no/o.png"), "cannot be written"),
+    ):
+        outcome = run("overlay", *arguments)
+        assert (outcome.exit_code, outcome.err.count("\n")) == (1, 1)
+        assert words in outcome.err
+
+
+@pytest.mark.parametrize(("number", "exit_code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupted_after_a_clean_stop(tmp_path: Path, number: signal.Signals, exit_code: int) -> None:
+    """The detector of this child waits until it is stopped."""
+    make_recording(tmp_path / "a.mcap", shots(20))
+    program = (
+        "import sys, time, fakes, lsnet, cli\n"
+        "fakes.FakeDetector.detect = lambda self, images: [time.sleep(1) for _ in range(60)]\n"
+        "lsnet.Detector = fakes.FakeDetector\n"
+        "cli.main()"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.path.dirname(__file__)}  # noqa: PTH120
+    command = [sys.executable, "-c", program, "process", "a.mcap", "--store", "store"]
+    child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
+    staging = tmp_path / "store" / "staging"
+    while child.poll() is None and not list(staging.glob("*/annotated.mcap")):
+        time.sleep(0.05)
+    child.send_signal(number)
+    _, message = child.communicate(timeout=30)
+    assert (child.returncode, message) == (exit_code, b"")
+    assert [path.name for path in staging.iterdir()] == ["mutex"]
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(1))
+    program = "import cli; cli.main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", program, "info", "a.mcap"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as child:
+        child.stdout.close()
+        assert child.stderr.read() == b""

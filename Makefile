@@ -7,7 +7,7 @@ INSTALLED := $(VENV)/.installed
 LSNET_PIPE := $(BIN)/lsnet-pipe
 DEMO_STORE := --store demo/store
 
-.PHONY: help demo test lint types contracts wheel slow clean
+.PHONY: help demo test lint types contracts wheel slow bench clean
 
 help:
 	@echo "make demo       simulate a flight, process it, ask three questions, draw a picture"
@@ -17,6 +17,7 @@ help:
 	@echo "make contracts  who may import what"
 	@echo "make wheel      build the wheel, use it in a new environment"
 	@echo "make slow       the tests that take minutes, npm or much disk"
+	@echo "make bench      speed and memory against what else does the same, some minutes"
 	@echo "make clean      remove what was built, but not $(VENV)"
 
 $(INSTALLED): pyproject.toml constraints.txt
@@ -57,6 +58,10 @@ wheel: $(INSTALLED)
 
 slow: $(INSTALLED)
 	$(BIN)/python -m pytest -q -m slow
+
+bench: $(INSTALLED)
+	$(BIN)/python benchmarks/bench_encode.py
+	$(BIN)/python benchmarks/bench_append.py
 
 clean:
 	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache

@@ -105,13 +105,14 @@ class OpenVinoBackend:
         self._queue_of = lru_cache(maxsize=4)(self._compile)
 
     def run(self, images: Sequence[NDArray[np.uint8]]) -> list[Maps]:
-        """Raw maps of each image, in order; images run at once, one per stream."""
+        """Raw maps of each image, in order; images of one size run at once, one per stream."""
         results: list[Any] = [None] * len(images)
-        for i, image in enumerate(images):
-            queue = self._queue_of(image.shape[0], image.shape[1])
-            queue.start_async({0: image[None]}, (results, i))
-        for size in {image.shape[:2] for image in images}:
-            self._queue_of(*size).wait_all()
+        for height, width in dict.fromkeys(image.shape[:2] for image in images):
+            queue = self._queue_of(height, width)
+            for i, image in enumerate(images):
+                if image.shape[:2] == (height, width):
+                    queue.start_async({0: image[None]}, (results, i))
+            queue.wait_all()
         return results
 
     def _compile(self, height: int, width: int) -> Any:

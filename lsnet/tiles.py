@@ -1,7 +1,7 @@
 """Large frames in overlapping tiles whose raw maps are put together before anything is decoded.
 
-Each position of the whole map is taken from the one tile in which it lies deepest, so there are no seams to
-mend and no doubles to remove. A tile's maps equal the whole frame's wherever its border is out of sight.
+Each position of the whole map is taken from one tile, so there are no seams to mend and no doubles to remove.
+Nothing is taken where a tile's border is in sight of the `fast` network, so the maps equal the whole frame's.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 TILE_PX = 1024  # longest side run in one piece
-MARGIN_PX = 128  # of sight given to each tile beyond what is taken from it
+MARGIN_PX = 144  # left beside what is taken from a tile; 128 are in sight of a cell, and cells start every 16
 STRIDE_PX = 16
 
 

@@ -6,13 +6,13 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import torch
-
 from lsnet.errors import LSNetError
 from lsnet.labelled import LabelledScenes, load_labels
 from lsnet.model import PRESETS, LSNet
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
+from lsnet.tiles import STRIDE_PX
+from lsnet.train import load_checkpoint
 from lsnet.weights import WeightsCard, save_weights
 
 if TYPE_CHECKING:
@@ -43,7 +43,9 @@ class TrainingData:
 
 
 def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
-    """Samples to train and to validate on. Raises LSNetError for unusable folders."""
+    """Samples to train and to validate on. Raises LSNetError for unusable folders or another size."""
+    if data.size % STRIDE_PX:
+        raise LSNetError(f"crops of {data.size} px do not fit the cells; give a multiple of {STRIDE_PX}")
     if data.data is None:
         pool = BackgroundPool([BackgroundFolder.parse(text) for text in data.backgrounds])
         drawn = [SyntheticScenes(pool, data.size, seed) for seed in (data.seed, data.seed + VALIDATION_SEED)]
@@ -62,11 +64,10 @@ def export_run(run: Path, output: Path, name: str, min_score: float, metrics: Pa
 
     Raises LSNetError when the folder holds no finished validation or the metrics are no JSON lines.
     """
-    try:
-        best = torch.load(run / "best.pt", weights_only=True)
-        recipe: dict[str, Any] = torch.load(run / "last.pt", weights_only=True)["recipe"]
-    except OSError as err:
-        raise LSNetError(f"{run}: no best.pt and last.pt in it; train a run to its first validation") from err
+    if not (run / "best.pt").is_file() or not (run / "last.pt").is_file():
+        raise LSNetError(f"{run}: no best.pt and last.pt in it; train a run to its first validation")
+    best = load_checkpoint(run / "best.pt")
+    recipe: dict[str, Any] = load_checkpoint(run / "last.pt")["recipe"]
     try:
         measured = [json.loads(line) for line in metrics.read_text().splitlines()] if metrics else []
     except (OSError, ValueError) as err:

@@ -11,6 +11,7 @@ import math
 import os
 import time
 from dataclasses import asdict, dataclass, replace
+from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -140,11 +141,14 @@ class Trainer:
         )
         self.loss = MultiTaskLoss()
         self.step, self.best_loss, self.bad_validations = 0, math.inf, 0
-        run_dir.mkdir(parents=True, exist_ok=True)
+        try:
+            run_dir.mkdir(parents=True, exist_ok=True)
+        except OSError as err:
+            raise LSNetError(f"{run_dir}: cannot be made a folder ({err.strerror}); name another") from err
         if (run_dir / "last.pt").exists():
             self._restore()
         elif start:
-            self.net.load_state_dict(torch.load(start, weights_only=True)["average"])
+            self._begin_with(start)
         if self.step == 0:
             self.average.load_state_dict(self.net.state_dict())
 
@@ -153,12 +157,14 @@ class Trainer:
     ) -> None:
         """Train to the last step or until validation stops improving; `report` is called now and then."""
         config = self.config
+        if self.step >= config.steps or self.bad_validations >= config.patience:
+            return
         validation_batches = list(loader(validation, range(config.validation_images), config))
         batches = loader(
             samples, range(self.step * config.batch_size, config.steps * config.batch_size), config
         )
         for progress in self._epoch(batches):
-            if progress.step % config.validate_every and progress.step != config.steps:
+            if not self._is_validation_due():
                 report(progress)
                 continue
             loss = self.validate(validation_batches)
@@ -175,18 +181,21 @@ class Trainer:
         return sum(losses) / len(losses)
 
     def _epoch(self, batches: DataLoader[Batch]) -> Iterator[Progress]:
-        """Step through the batches, reporting every 50 steps."""
+        """Step through the batches, reporting every 50 steps and before each validation."""
         totals, count, clock = np.zeros(3), 0, time.monotonic()
         for batch in batches:
             losses = self._train_step(batch)
             totals += [float(part.detach()) for part in losses]
             count += 1
-            if self.step % 50 and self.step != self.config.steps:
+            if self.step % 50 and not self._is_validation_due():
                 continue
             rate = count * self.config.batch_size / (time.monotonic() - clock)
             mean = totals / count
             yield Progress(self.step, self.config.steps, mean[0], mean[1], mean[2], rate)
             totals, count, clock = np.zeros(3), 0, time.monotonic()
+
+    def _is_validation_due(self) -> bool:
+        return self.step % self.config.validate_every == 0 or self.step == self.config.steps
 
     def _train_step(self, batch: Batch) -> Losses:
         self.net.train()
@@ -238,8 +247,16 @@ class Trainer:
             "bad_validations": self.bad_validations,
         }
 
+    def _begin_with(self, start: Path) -> None:
+        try:
+            self.net.load_state_dict(load_checkpoint(start)["average"])
+        except (KeyError, RuntimeError) as err:
+            raise LSNetError(
+                f"{start}: not the best.pt of a {self.config.preset} network; give one of that preset"
+            ) from err
+
     def _restore(self) -> None:
-        state = torch.load(self.run_dir / "last.pt", weights_only=True)
+        state = load_checkpoint(self.run_dir / "last.pt")
         ours = asdict(self.config)
         changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
         if changed:
@@ -255,6 +272,15 @@ class Trainer:
     def _log(self, progress: Progress) -> None:
         with (self.run_dir / "log.jsonl").open("a") as log:
             log.write(json.dumps(asdict(progress)) + "\n")
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """What `last.pt` or `best.pt` holds. Raises LSNetError when it is missing or damaged."""
+    try:
+        state: dict[str, Any] = torch.load(path, weights_only=True)
+    except (OSError, EOFError, RuntimeError, UnpicklingError) as err:
+        raise LSNetError(f"{path}: missing or damaged; give the checkpoint of a run") from err
+    return state
 
 
 def _save(state: dict[str, Any], path: Path) -> None:

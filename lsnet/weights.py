@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import textwrap
 from dataclasses import asdict, dataclass, field, fields
 from importlib import resources
 from pathlib import Path
@@ -76,10 +77,13 @@ def shipped() -> dict[str, str]:
 
 
 def save_weights(path: Path, net: LSNet, card: WeightsCard) -> str:
-    """Write a weights file; its sha256."""
+    """Write a weights file; its sha256. Raises LSNetError when it cannot be written."""
     tensors = {name: tensor.contiguous() for name, tensor in net.state_dict().items()}
     data = save_tensors(tensors, {HEADER_KEY: card.to_json()})
-    path.write_bytes(data)
+    try:
+        path.write_bytes(data)
+    except OSError as err:
+        raise LSNetError(f"{path}: cannot be written ({err.strerror}); name another file") from err
     return hashlib.sha256(data).hexdigest()
 
 
@@ -90,7 +94,10 @@ def load_weights(weights: str | Path) -> Weights:
     """
     known = shipped()
     path = _find(weights, known)
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except OSError as err:
+        raise LSNetError(f"{path}: cannot be read ({err.strerror}); give a file you may read") from err
     sha256 = hashlib.sha256(data).hexdigest()
     if str(weights) in known and known[str(weights)] != sha256:
         raise LSNetError(f"{path}: damaged (sha256 {sha256[:16]}...); install the package again")
@@ -99,8 +106,8 @@ def load_weights(weights: str | Path) -> Weights:
             card = WeightsCard.from_json(header.metadata()[HEADER_KEY])
         net = LSNet(card.network)
         net.load_state_dict(load_tensors(data), strict=True)
-    except (SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as err:
-        reason = str(err).splitlines()[0]
+    except (SafetensorError, ValueError, LookupError, ArithmeticError, TypeError, RuntimeError) as err:
+        reason = textwrap.shorten(str(err), 200, placeholder=" ...")
         raise LSNetError(
             f"{path}: not weights that this version can use ({reason}); train or export them again"
         ) from err

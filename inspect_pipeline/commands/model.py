@@ -81,9 +81,10 @@ def train(
         workers=workers,
         data=sources.describe(),
     )
+    train_on, validate_on = open_sources(sources)
     trainer = Trainer(config, run, seed=seed, start=start)
     with progress_bar("train", steps, done=trainer.step) as advance:
-        trainer.run(*open_sources(sources), report=lambda state: advance(_telling(state), state.step))
+        trainer.run(train_on, validate_on, report=lambda state: advance(_telling(state), state.step))
     typer.echo(f"{run / 'best.pt'}: validation loss {trainer.best_loss:.4f}; next: lsnet-pipe model export")
 
 

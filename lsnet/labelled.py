@@ -10,6 +10,7 @@ Any label counts as a line unless `labels` names the ones that do.
 from __future__ import annotations
 
 import json
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ from lsnet.synth.backgrounds import SUFFIXES, load_rgb
 from lsnet.synth.dataset import Sample
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -46,16 +48,27 @@ def load_labels(folder: Path, labels: tuple[str, ...] = ()) -> list[LabelledImag
 
     Raises LSNetError when the folder holds no labels or a label file is malformed.
     """
+    if not folder.is_dir():
+        raise LSNetError(f"{folder}: not a folder; give a folder of labelled images")
     coco = folder / COCO_FILE
-    try:
-        found = _from_coco(coco, labels) if coco.is_file() else _from_labelme(folder, labels)
-    except (OSError, ValueError, KeyError, TypeError) as err:
-        raise LSNetError(
-            f"{folder}: labels cannot be read ({err}); see lsnet-pipe model train --help"
-        ) from err
+    found = _from_coco(coco, labels) if coco.is_file() else _from_labelme(folder, labels)
     if not found:
         raise LSNetError(f"{folder}: no labelled images; put labelme files beside the images, or {COCO_FILE}")
+    if not any(image.lines for image in found):
+        wanted = f" labelled {', '.join(labels)}" if labels else ""
+        raise LSNetError(f"{folder}: no lines{wanted} in its labels; see lsnet-pipe model train --help")
     return found
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn whatever a malformed label file raises into one line that names it."""
+    try:
+        yield
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
+        raise LSNetError(
+            f"{path}: labels cannot be read ({type(err).__name__}: {err}); write them again"
+        ) from err
 
 
 def _from_labelme(folder: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
@@ -64,27 +77,29 @@ def _from_labelme(folder: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
         label_file = path.with_suffix(".json")
         if not label_file.is_file():
             continue
-        shapes = json.loads(label_file.read_text(encoding="utf-8"))["shapes"]
-        lines = [
-            _polyline(shape["points"])
-            for shape in shapes
-            if shape["shape_type"] in LINE_SHAPES and (not labels or shape["label"] in labels)
-        ]
+        with _naming(label_file):
+            shapes = json.loads(label_file.read_text(encoding="utf-8"))["shapes"]
+            lines = [
+                _polyline(shape["points"])
+                for shape in shapes
+                if shape["shape_type"] in LINE_SHAPES and (not labels or shape["label"] in labels)
+            ]
         found.append(LabelledImage(path, lines))
     return found
 
 
 def _from_coco(path: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
-    content = json.loads(path.read_text(encoding="utf-8"))
-    names = {c["id"]: c["name"] for c in content.get("categories", [])}
-    images = {
-        image["id"]: LabelledImage(path.parent / image["file_name"], [])
-        for image in sorted(content["images"], key=lambda image: str(image["file_name"]))
-    }
-    for annotation in content["annotations"]:
-        if labels and names.get(annotation.get("category_id")) not in labels:
-            continue
-        images[annotation["image_id"]].lines.extend(_polyline(flat) for flat in _flat_lists(annotation))
+    with _naming(path):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        names = {c["id"]: c["name"] for c in content.get("categories", [])}
+        images = {
+            image["id"]: LabelledImage(path.parent / image["file_name"], [])
+            for image in sorted(content["images"], key=lambda image: str(image["file_name"]))
+        }
+        for annotation in content["annotations"]:
+            if labels and names.get(annotation.get("category_id")) not in labels:
+                continue
+            images[annotation["image_id"]].lines.extend(_polyline(flat) for flat in _flat_lists(annotation))
     return list(images.values())
 
 
@@ -120,7 +135,8 @@ def zoom_and_turn(
 ) -> tuple[NDArray[np.float32], list[Points]]:
     """A (size, size) float32 crop at a random place, zoom, angle and mirroring, with its lines.
 
-    One affine map takes image and lines; pixel centres are at i + 0.5, which OpenCV does not count in.
+    One affine map takes image and lines; pixel centres are at i + 0.5, which OpenCV does not count in. Beyond
+    the image all is of its mean colour: mirrored lines would be lines without labels.
     """
     height, width = image.shape[:2]
     zoom = np.exp(rng.uniform(np.log(0.7), np.log(1.6))) * max(1.0, size / min(height, width))
@@ -131,5 +147,6 @@ def zoom_and_turn(
     centre = np.array([rng.uniform(0.2, 0.8) * width, rng.uniform(0.2, 0.8) * height])
     shift = np.array([size / 2, size / 2]) - turn @ centre
     matrix = np.column_stack([turn, shift + turn @ np.array([0.5, 0.5]) - 0.5])
-    crop = cv2.warpAffine(image, matrix, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    mean = image.mean(axis=(0, 1)).tolist()
+    crop = cv2.warpAffine(image, matrix, (size, size), flags=cv2.INTER_LINEAR, borderValue=mean)
     return crop.astype(np.float32), [line @ turn.T + shift for line in lines]

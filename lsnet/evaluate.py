@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lsnet.errors import LSNetError
 from lsnet.metrics import THRESHOLDS, PixelScore, pixel_counts, pixel_scores
 from lsnet.segmap import confidence_map
 from lsnet.synth.backgrounds import load_rgb
@@ -70,7 +71,7 @@ def evaluate(
 ) -> list[PixelReport | ShareReport]:
     """Reports of one folder, by tolerance. The detector must tell all segments from score 0.05 up.
 
-    Raises LSNetError when the folder holds no images or lacks a truth.
+    Raises LSNetError when the folder holds no images, or a truth is missing or of another size.
     """
     kind, files = images_of(folder)
     thresholds = np.append(THRESHOLDS, min_score)
@@ -81,6 +82,8 @@ def evaluate(
         best_scores.append(float(segments.scores.max(initial=0.0)))
         if kind != "plain":
             truth, confidence = load_truth(kind, path), confidence_map(segments)
+            if truth.mask.shape != confidence.shape:
+                raise LSNetError(f"{path}: its truth is of another size; give one as large as the image")
             for tolerance in tolerances_px:
                 counts[tolerance].append(pixel_counts(confidence, truth, tolerance, thresholds))
         on_image()

@@ -14,7 +14,7 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.metrics import PixelTruth
-from lsnet.synth.backgrounds import SUFFIXES
+from lsnet.synth.backgrounds import SUFFIXES, load_rgb
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,10 +48,11 @@ def load_truth(kind: Kind, image: Path) -> PixelTruth:
         path = image.with_name(f"{image.stem}.boundary.png")
     else:
         path = image.parent.parent / "masks" / f"{image.stem}.png"
-    drawn = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if drawn is None:
-        raise LSNetError(f"{path}: missing or not an image; every image of the set needs its truth")
-    return _from_contours(drawn > 0) if kind == "contours" else _from_mask(drawn > 0)
+    try:
+        drawn = np.asarray(load_rgb(path).max(axis=2) > 0)
+    except LSNetError as err:
+        raise LSNetError(f"{path}: missing or not an image; every image of the set needs its truth") from err
+    return _from_contours(drawn) if kind == "contours" else _from_mask(drawn)
 
 
 def _skeleton(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

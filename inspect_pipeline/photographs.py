@@ -53,14 +53,29 @@ def detect_in(
 ) -> Iterator[Photograph]:
     """Each photograph in turn, `batch_size` of them read at a time; `on_error` hears of unreadable ones."""
     for first in range(0, len(paths), batch_size):
-        images = {}
+        read: list[tuple[Path, NDArray[np.uint8]]] = []
         for path in paths[first : first + batch_size]:
             try:
-                images[path] = load_rgb(path)
+                read.append((path, load_rgb(path)))
             except LSNetError as error:
                 on_error(str(error))
-        for (path, image), found in zip(images.items(), detector.detect(list(images.values())), strict=True):
+        found_in = detector.detect([image for _, image in read])
+        for (path, image), found in zip(read, found_in, strict=True):
             yield Photograph(path, image, found)
+
+
+def check_outputs(paths: Sequence[Path], draw: Path | None, confidence: Path | None) -> None:
+    """Raises OutputError when pictures of one run would replace each other."""
+    folder = draw or confidence
+    if folder is None:
+        return
+    if draw and confidence and draw.resolve() == confidence.resolve():
+        raise OutputError(folder, "overlays and maps have the same names", "name two folders")
+    named: dict[str, Path] = {}
+    for path in paths:
+        other = named.setdefault(path.stem, path)
+        if other.resolve() != path.resolve():
+            raise OutputError(folder, f"{other} and {path} would have one picture", "run them apart")
 
 
 def write_overlay(photograph: Photograph, folder: Path) -> None:
@@ -83,4 +98,7 @@ def _in_folder(folder: Path, photograph: Photograph) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(folder, f"cannot be made a folder ({error.strerror})", "name another") from error
-    return folder / f"{photograph.path.stem}.png"
+    path = folder / f"{photograph.path.stem}.png"
+    if path.exists() and path.samefile(photograph.path):
+        raise OutputError(path, "would replace the photograph", "name another folder")
+    return path

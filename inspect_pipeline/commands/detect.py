@@ -38,9 +38,10 @@ def detect(
 
     Example: lsnet-pipe detect tower.jpg --json --min-score 0.3
     """
-    from inspect_pipeline.photographs import detect_in, write_map, write_overlay
+    from inspect_pipeline.photographs import check_outputs, detect_in, write_map, write_overlay
     from lsnet import Detector
 
+    check_outputs(images, draw, confidence)
     detector = Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)
     problems: list[str] = []
     with progress_bar("detect", len(images)) as advance:

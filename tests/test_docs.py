@@ -1,0 +1,133 @@
+"""The documentation: every command and query in it runs, everything the program has is in it."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shlex
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+from fakes import FakeDetector
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.reader import make_reader
+
+import cli
+import lsnet
+from inspect_pipeline.commands import index as index_commands
+from inspect_pipeline.commands import model as model_commands
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+ROOT = Path(__file__).parents[1]
+README, CLI, FORMATS = (
+    (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/cli.md", "docs/formats.md")
+)
+BLOCKS = re.findall(r"^```\n(.*?)^```", CLI, re.DOTALL | re.MULTILINE)
+COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("lsnet-pipe ")]
+WITH_NETWORK = ("detect", "model")  # these have tests of their own, with shipped weights
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("docs")
+
+
+@pytest.fixture
+def run(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], folder: Path
+) -> Iterator[Callable[..., str]]:
+    """Run a command line of the documentation; all of them share a folder."""
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("LSNET_PIPE_STORE", raising=False)
+    monkeypatch.setattr(lsnet, "Detector", FakeDetector)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def run(*arguments: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["lsnet-pipe", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capfd.readouterr()
+        assert ended.value.code in (None, 0), captured.err
+        return captured.out
+
+    yield run
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path) -> None:
+    """In their order, in one folder; a flight that is simulated small, since that takes longest."""
+    cv2.imwrite(str(folder / "photo.jpg"), np.zeros((64, 64, 3), np.uint8))
+    for command in COMMANDS:
+        _, name, *arguments = shlex.split(command)
+        if name in WITH_NETWORK:
+            continue
+        if name == "simulate":
+            arguments = [arguments[0], "--seconds", "10", "--fps", "0.5", "--size", "160x120"]
+        if name == "overlay":
+            (row,) = json.loads(run("query", "SELECT min(flight_id) AS id FROM flights", "--format", "json"))
+            arguments = [row["id"] if a == "FLIGHT" else a for a in arguments]
+        run(name, *arguments)
+    assert (folder / "segments.parquet").exists()
+    assert (folder / "frame.png").exists()
+
+
+def test_the_query_of_the_readme(run: Callable[..., str]) -> None:
+    """The columns in the shown output are those the query gives; how many rows and which, the flight says."""
+    sql, shown = re.search(r"```sql\n(.*?)```\n\n```\n(.*?)```", README, re.DOTALL).groups()
+    told = run("query", sql)
+    assert told.splitlines()[0].split() == shown.splitlines()[0].split()
+    assert f'"{sql.strip()}"' in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def test_the_python_of_the_readme(run: Callable[..., str], folder: Path) -> None:
+    source = re.search(r"```python\n(.*?)```", README, re.DOTALL).group(1)
+    run("simulate", "flight.mcap", "--seconds", "1", "--size", "160x120")
+    exec(compile(ast.parse(source), "README.md", "exec"), {})  # noqa: S102 - our own text
+
+
+def test_every_command_is_documented() -> None:
+    groups = {"": cli.app, "index ": index_commands.app, "model ": model_commands.app}
+    for prefix, app in groups.items():
+        for command in app.registered_commands:
+            name = prefix + (command.name or command.callback.__name__)
+            assert re.search(rf"\b{name.split()[-1]}\b", README), name
+            assert f"lsnet-pipe {name}" in CLI or f"`{name.split()[-1]}`" in CLI, name
+
+
+def test_every_option_of_process_is_documented() -> None:
+    text = " ".join(COMMANDS) + CLI
+    for option in ("--store", "--json", "--topic", "--every", "--start", "--end", "--force", "--no-strict"):
+        assert option in text
+    for option in ("--weights", "--scale", "--min-score"):
+        assert option in text
+
+
+def test_links_lead_somewhere() -> None:
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")):
+        for target in re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8")):
+            if not target.startswith("https://"):
+                assert (path.parent / target).exists(), f"{path.name}: {target}"
+
+
+def test_the_formats_are_those_that_are_written(run: Callable[..., str], folder: Path) -> None:
+    """The fields of lsnet.Detections and the keys of the metadata, as the files say them."""
+    run("simulate", "formats.mcap", "--seconds", "1", "--size", "160x120")
+    annotated = json.loads(run("process", "formats.mcap", "--json"))["annotated"]
+    with Path(annotated).open("rb") as file:
+        reader = make_reader(file)
+        schemas = {schema.name: schema.data for schema in reader.get_summary().schemas.values()}
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+    files = FileDescriptorSet.FromString(schemas["lsnet.Detections"]).file
+    (message,) = (m for f in files for m in f.message_type if m.name == "Detections")
+    section = FORMATS.split("### lsnet.Detections")[1].split("### Metadata")
+    assert all(f"`{field.name}`" in section[0] for field in message.field)
+    assert all(f"`{key}`" in section[1] for key in metadata["lsnet_pipe.run"])

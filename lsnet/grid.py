@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NEGATIVE, POSITIVE, IGNORED = 0, 1, -1
+OFF_CENTRE_PENALTY = 0.25  # pixels of length that a pixel away from the cell's centre costs a chord
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,20 +71,23 @@ class GridCoder:
         """Targets of one image of (height, width) with lines given as (K, 2) points in pixels.
 
         A line enters a cell as its chord, from where it first enters to where it last leaves. Of
-        several lines in a cell the longest chord counts.
+        several lines in a cell the longest chord counts; of chords about as long, as parallel lines make
+        them, the one nearer to the middle of the cell, so that what is to be learned is no toss-up.
         """
         corners = self.corners(image_size)
-        best = np.zeros(corners.shape[:2])
+        best, longest = np.full(corners.shape[:2], -np.inf), np.zeros(corners.shape[:2])
         endpoints = np.zeros((*corners.shape[:2], 4))
         boxes = np.concatenate([corners, corners + self.cell_px], axis=-1)
         for points in polylines:
             chords = _chords(np.asarray(points, float), boxes)
             lengths = np.hypot(chords[..., 2] - chords[..., 0], chords[..., 3] - chords[..., 1])
-            is_longer = lengths > best
-            best = np.where(is_longer, lengths, best)
-            endpoints[is_longer] = chords[is_longer]
-        labels = np.where(best >= self.min_chord * self.cell_px, POSITIVE, IGNORED)
-        labels[best <= 0] = NEGATIVE
+            weights = lengths - OFF_CENTRE_PENALTY * _off_centre(chords, corners + self.cell_px / 2)
+            is_better = (lengths > 0) & (weights > best)
+            best = np.where(is_better, weights, best)
+            longest = np.maximum(longest, lengths)
+            endpoints[is_better] = chords[is_better]
+        labels = np.where(longest >= self.min_chord * self.cell_px, POSITIVE, IGNORED)
+        labels[longest <= 0] = NEGATIVE
         fractions = (endpoints - np.tile(corners, 2)) / self.cell_px
         fractions[labels != POSITIVE] = 0
         return Targets(labels.astype(np.int8), fractions.astype(np.float32))
@@ -117,6 +121,12 @@ def _chords(points: NDArray[np.floating], boxes: NDArray[np.floating]) -> NDArra
     end = _along(pieces[last], np.take_along_axis(t_out, last[..., None], -1))
     chords = np.concatenate([start, end], axis=-1)
     return np.where(is_hit.any(axis=-1, keepdims=True), chords, 0.0)
+
+
+def _off_centre(chords: NDArray[np.float64], centres: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(R, C) distance of each cell's centre from the middle of its chord."""
+    middles = (chords[..., :2] + chords[..., 2:]) / 2 - centres
+    return np.hypot(middles[..., 0], middles[..., 1])
 
 
 def _along(pieces: NDArray[np.floating], t: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -66,6 +66,57 @@ def branches(image: Image, rng: Rng) -> None:
             stack.append((path[at], fork, length * rng.uniform(0.45, 0.8), width * rng.uniform(0.45, 0.75)))
 
 
+def shrub(image: Image, rng: Rng) -> None:
+    """Long thin twigs, nearly straight, in a fan from one root, some of them forked."""
+    root, heading = _anywhere(image, rng, 0.15), rng.uniform(0, 2 * np.pi)
+    rgb = np.clip(rng.choice([30, 70, 110, 160, 200]) + rng.normal(0, 12) + np.array([10, 0, -12]), 0, 255)
+    fan, reach, width = rng.uniform(0.15, 0.9), rng.uniform(60, 320), rng.uniform(1.2, 7)
+    for _ in range(int(rng.integers(3, 28))):
+        at = root + rng.normal(0, reach * 0.06, 2)
+        course = (heading + rng.normal(0, fan), reach * rng.uniform(0.3, 1.0))
+        tone = np.clip(rgb * rng.uniform(0.7, 1.3), 0, 255)
+        _twig(image, rng, at, course, rgb=tone, width=width * rng.uniform(0.4, 1))
+
+
+def _twig(
+    image: Image,
+    rng: Rng,
+    at: NDArray[np.floating],
+    course: tuple[float, float],
+    *,
+    rgb: NDArray[np.floating],
+    width: float,
+) -> None:
+    """One tapering twig with its forks; `course` is its first heading and its length."""
+    angle, length = course
+    turns = angle + np.cumsum(rng.normal(0, rng.uniform(0.01, 0.09), 12))
+    path = np.vstack([at, at + np.cumsum(np.stack([np.cos(turns), np.sin(turns)], 1) * length / 12, axis=0)])
+    for part, taper in ((path[:6], 1.0), (path[5:10], 0.7), (path[9:], 0.4)):
+        _stroke(image, part, rgb, width * taper)
+    if length > 50:
+        for _ in range(int(rng.integers(0, 4))):
+            k = int(rng.integers(3, 11))
+            fork = (turns[k] + rng.choice([-1, 1]) * rng.uniform(0.2, 0.9), length * 0.4)
+            _twig(image, rng, path[k], fork, rgb=rgb, width=width * 0.5)
+
+
+def building(image: Image, rng: Rng) -> None:
+    """A box with edges: a roof with parallel ridges, or a wall with rows of openings."""
+    place = _perspective(image, rng)
+    a, b = rng.uniform(30, 220, 2)
+    rgb = np.clip(rng.uniform(40, 230) + rng.normal(0, 15, 3), 0, 255)
+    corners = place(np.array([[-a, -b], [a, -b], [a, b], [-a, b], [-a, -b]]))
+    cv2.fillPoly(
+        image, [np.round((corners - 0.5) * SCALE).astype(np.int32)], rgb.tolist(), cv2.LINE_AA, SHIFT
+    )
+    edge = np.clip(rgb * rng.choice([0.5, 1.3]), 0, 255)
+    _stroke(image, corners, edge, rng.uniform(1, 7))
+    if rng.random() < 0.6:
+        tone = np.clip(rgb * rng.uniform(0.6, 1.3), 0, 255)
+        for x in np.arange(-a, a, rng.uniform(6, 40)):
+            _stroke(image, place(np.array([[x, -b], [x, b]])), tone, rng.uniform(1, 4))
+
+
 def trunk(image: Image, rng: Rng) -> None:
     """A pole, pipe or trunk: a shaded band too wide for a cable."""
     start, angle = _anywhere(image, rng), rng.uniform(0, 2 * np.pi)
@@ -89,29 +140,34 @@ def struts(image: Image, rng: Rng) -> None:
         _stroke(image, joints[[a, b]], np.clip(rgb * rng.uniform(0.7, 1.2), 0, 255), rng.uniform(1.5, 9))
 
 
-def half_plane(image: Image, rng: Rng) -> None:
-    """Another ground behind a border, with or without a kerb and a gutter along it."""
+def half_plane(image: Image, rng: Rng, ground: Image) -> None:
+    """Another ground, given as an image, behind a border with or without a kerb and its shadow."""
     height, width = image.shape[:2]
     centre, angle = _anywhere(image, rng, -0.1), rng.uniform(0, 2 * np.pi)
     along, across = _direction(angle), _direction(angle + np.pi / 2)
-    bend = rng.normal(0, 0.0006) if rng.random() < 0.5 else 0.0
+    bend = rng.normal(0, 0.0006) if rng.random() < 0.3 else 0.0
     t = np.linspace(-1.5, 1.5, 25)[:, None] * max(height, width)
     border = centre + along * t + across * bend * t**2
-    far = border + across * 3 * max(height, width)
+    polygon = np.vstack([border, (border + across * 3 * max(height, width))[::-1]])
     mask = np.zeros((height, width), np.uint8)
-    polygon = np.vstack([border, far[::-1]])
     cv2.fillPoly(mask, [np.round(polygon * SCALE).astype(np.int32)], 255, cv2.LINE_AA, SHIFT)
-    alpha = (mask.astype(np.float32) / 255)[..., None] * np.float32(rng.uniform(0.6, 1.0))
-    grain = rng.normal(0, rng.uniform(2, 14), (height, width, 1)).astype(np.float32)
-    ground = np.clip(rng.uniform(40, 225) + rng.normal(0, 14, 3), 0, 255).astype(np.float32) + grain
+    alpha = (mask.astype(np.float32) / 255)[..., None]
     image += alpha * (ground - image)
     if rng.random() < 0.7:
-        kerb_width, tone = rng.uniform(4, 26), rng.uniform(60, 240)
-        for offset, gain in ((0.0, 1.0), (kerb_width * 0.6, rng.uniform(0.5, 0.9))):
-            rgb = np.clip(np.full(3, tone * gain) + rng.normal(0, 5, 3), 0, 255)
-            _stroke(image, border + across * offset, rgb, kerb_width * 0.6)
-        if rng.random() < 0.5:
-            _ties(image, rng, border, across * kerb_width, tone * 0.5)
+        _kerb(image, rng, border, across)
+
+
+def _kerb(image: Image, rng: Rng, border: NDArray[np.floating], across: NDArray[np.floating]) -> None:
+    """Bands of different tones beside each other along a border, with joints now and then."""
+    kerb_width, tone = rng.uniform(2, 26), rng.uniform(60, 245)
+    at = 0.0
+    for _ in range(int(rng.integers(1, 4))):
+        band = kerb_width * rng.uniform(0.2, 1.0)
+        rgb = np.clip(np.full(3, tone * rng.uniform(0.3, 1.1)) + rng.normal(0, 5, 3), 0, 255)
+        _stroke(image, border + across * (at + band / 2), rgb, band + 1)
+        at += band
+    if rng.random() < 0.5:
+        _ties(image, rng, border, across * at, tone * 0.5)
 
 
 def _ties(
@@ -240,21 +296,25 @@ def foliage(image: Image, rng: Rng) -> None:
 
 # In the order of painting, from the ground up; how likely each kind is to be painted (again).
 KINDS: dict[Callable[[Image, Rng], None], float] = {
-    half_plane: 0.30,
     furrows: 0.08,
     markings: 0.14,
     tile_grid: 0.18,
     cracks: 0.10,
+    building: 0.12,
     foliage: 0.16,
     fence: 0.08,
     trunk: 0.12,
     struts: 0.10,
-    branches: 0.30,
+    branches: 0.25,
+    shrub: 0.42,
 }
+BORDER_PROBABILITY = 0.4  # of another ground, again and again
 
 
-def add_clutter(image: Image, rng: Rng) -> None:
-    """Paint each kind none, one or several times."""
+def add_clutter(image: Image, rng: Rng, ground: Callable[[], Image]) -> None:
+    """Paint each kind none, one or several times; `ground` gives other backgrounds of the same size."""
+    while rng.random() < BORDER_PROBABILITY:
+        half_plane(image, rng, ground())
     for paint, probability in KINDS.items():
         while rng.random() < probability:
             paint(image, rng)

@@ -41,7 +41,7 @@ class SyntheticScenes:
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self.seed, index])
         image = self.pool.sample(rng, self.size)
-        add_clutter(image, rng)
+        add_clutter(image, rng, lambda: self.pool.sample(rng, self.size))
         np.clip(image, 0, 255, out=image)
         lines = add_cables(image, rng) if rng.random() >= EMPTY_SHARE else []
         image, lines = augment(image, lines, rng)

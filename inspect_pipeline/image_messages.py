@@ -9,16 +9,14 @@ from __future__ import annotations
 import base64
 import json
 import re
-import struct
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.message import DecodeError
 
-from inspect_pipeline.wire import CdrReader, FlatbufferTable, Ros1Reader
+from inspect_pipeline.wire import MALFORMED, CdrReader, FlatbufferTable, Ros1Reader
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,15 +63,7 @@ def parse(schema_name: str, message_encoding: str, payload: memoryview) -> Image
     parser = _PARSERS[schema_name, message_encoding]
     try:
         return parser(payload)
-    except (
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        struct.error,
-        RecursionError,
-        DecodeError,
-    ) as error:
+    except MALFORMED as error:
         raise ImageError(f"the message is not a {schema_name}") from error
 
 

@@ -127,6 +127,11 @@ class Recording:
             raise RecordingError(self.path, loss, STRICT_REMEDY)
         self.losses.append(loss)
 
+    def schema_data(self, channel_id: int) -> bytes:
+        """The schema of a channel as the file has it; empty when it has none."""
+        schema = self.layout.schemas.get(self.layout.channels[channel_id].schema_id)
+        return schema.data if schema else b""
+
     def message_counts(self) -> Counter[int]:
         """Messages per channel id, read from the chunks where nothing else tells. Raises RecordingError."""
         if self.layout.statistics is not None:

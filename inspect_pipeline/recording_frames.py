@@ -1,4 +1,4 @@
-"""Camera frames of a recording in log-time order."""
+"""Camera frames of a recording, and messages of other channels, in log-time order."""
 
 from __future__ import annotations
 
@@ -63,6 +63,19 @@ def _iter_frames(
                 yield _to_frame(by_id[message.channel_id], frame_idx, message)
     if losses.n_extents and losses.n_extents == len(extents):
         raise RecordingError(recording.path, recording.losses[-1], "not one image can be read, copy it again")
+
+
+def iter_channel_messages(recording: Recording, channel_ids: Collection[int]) -> Iterator[Message]:
+    """The messages of some channels in log-time order.
+
+    Raises RecordingError when anything is lost of a `strict` recording.
+    """
+    wanted = frozenset(channel_ids)
+    if not wanted:
+        return
+    extents = [e for e in recording.layout.extents if e.channel_ids is None or e.channel_ids & wanted]
+    with reading(recording.path) as file:
+        yield from iter_messages(file, extents, wanted, _Losses(recording).add)
 
 
 class _Losses:

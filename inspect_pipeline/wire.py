@@ -1,12 +1,17 @@
-"""Fields read from messages of ROS and FlatBuffers without their packages: what image messages need.
+"""Fields read from messages of ROS and FlatBuffers without their packages: what images and poses need.
 
-Readers raise ValueError or struct.error when a message is shorter than it says.
+Readers raise one of MALFORMED when a message is not what it should be.
 """
 
 from __future__ import annotations
 
 import struct
 from typing import ClassVar
+
+from google.protobuf.message import DecodeError
+
+# What reading fields from a message of any encoding can raise, JSON and protobuf included.
+MALFORMED = (ValueError, LookupError, TypeError, AttributeError, struct.error, RecursionError, DecodeError)
 
 
 class SequentialReader:
@@ -22,11 +27,30 @@ class SequentialReader:
 
     def uint8(self) -> int:
         """One byte."""
-        return self._number("B", 1)
+        return int(self.number("B"))
 
     def uint32(self) -> int:
         """Four bytes."""
-        return self._number("I", 4)
+        return int(self.number("I"))
+
+    def int8(self) -> int:
+        """One byte with a sign."""
+        return int(self.number("b"))
+
+    def uint16(self) -> int:
+        """Two bytes."""
+        return int(self.number("H"))
+
+    def float64(self) -> float:
+        """A double."""
+        return self.number("d")
+
+    def float64s(self, count: int | None = None) -> tuple[float, ...]:
+        """`count` doubles, or a sequence of them with its length before it."""
+        length = self.uint32() if count is None else count
+        if 8 * length > len(self._payload):
+            raise ValueError("a field overruns the message")
+        return tuple(self.float64() for _ in range(length))
 
     def blob(self) -> memoryview:
         """A sequence of bytes with its length before it."""
@@ -48,9 +72,11 @@ class SequentialReader:
         """A std_msgs/Header: its stamp and frame id."""
         return self.time_ns(), self.string()
 
-    def _number(self, code: str, size: int) -> int:
+    def number(self, code: str) -> float:
+        """A number by its code in `struct`."""
+        size = struct.calcsize("<" + code)
         self._at += -(self._at - self._start) % min(size, self._alignment)
-        value: int = struct.unpack_from(self._order + code, self._payload, self._at)[0]
+        value: float = struct.unpack_from(self._order + code, self._payload, self._at)[0]
         self._at += size
         return value
 
@@ -79,11 +105,14 @@ class Ros1Reader(SequentialReader):
 
 
 class FlatbufferTable:
-    """The root table of a FlatBuffers message. Fields go by their id; one that is absent is 0 or empty."""
+    """A table of a FlatBuffers message, the root by default.
 
-    def __init__(self, payload: memoryview) -> None:
+    Fields go by their id; one that is absent is 0 or empty.
+    """
+
+    def __init__(self, payload: memoryview, at: int | None = None) -> None:
         self._payload = payload
-        self._table = self._unpack("<I", 0)
+        self._table = self._unpack("<I", 0) if at is None else at
         self._vtable = self._table - self._unpack("<i", self._table)
         if self._vtable < 0:
             raise ValueError("the table lies outside the message")
@@ -93,6 +122,24 @@ class FlatbufferTable:
         """An unsigned number."""
         at = self._position(field)
         return self._unpack("<I", at) if at else 0
+
+    def float64(self, field: int, default: float = 0.0) -> float:
+        """A double, or the schema's `default` of it."""
+        at = self._position(field)
+        value: float = struct.unpack_from("<d", self._payload, at)[0] if at else default
+        return value
+
+    def float64s(self, field: int) -> tuple[float, ...]:
+        """A vector of doubles."""
+        at = self._position(field)
+        start = at + self._unpack("<I", at) if at else 0
+        count = self._unpack("<I", start) if at else 0
+        return struct.unpack_from(f"<{count}d", self._payload, start + 4) if count else ()
+
+    def table(self, field: int) -> FlatbufferTable | None:
+        """A table within this one; None when it is absent."""
+        at = self._position(field)
+        return FlatbufferTable(self._payload, at + self._unpack("<I", at)) if at else None
 
     def time_ns(self, field: int) -> int:
         """A struct of seconds and nanoseconds."""

@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands import detect, doctor, index, info, model, overlay, process, query, simulate
+from inspect_pipeline.commands import (
+    batch,
+    detect,
+    doctor,
+    index,
+    info,
+    model,
+    overlay,
+    process,
+    query,
+    simulate,
+)
 from inspect_pipeline.errors import InspectError
 
 if TYPE_CHECKING:
@@ -25,6 +36,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command()(process.process)
+app.command()(batch.batch)
 app.command()(query.query)
 app.command()(info.info)
 app.command()(detect.detect)
@@ -75,4 +87,10 @@ def _to_message(error: Exception) -> str | None:
     lsnet = sys.modules.get("lsnet")  # slow to import, and not needed to raise what it has not raised
     if isinstance(error, InspectError) or (lsnet and isinstance(error, lsnet.LSNetError)):
         return str(error)
+    if isinstance(error, OSError):  # what no command expects: a disk that fails, rights that change
+        return f"{error.filename or 'system'}: {error.strerror or error}; check the disk and its rights"
     return None
+
+
+if __name__ == "__main__":
+    main()

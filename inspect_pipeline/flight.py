@@ -16,7 +16,7 @@ RESULT_VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class ModelRecord:
-    """The detector that made the segments; `score_threshold` is the one its weights carry."""
+    """The detector that made the segments; `score_threshold` is the least score that was kept."""
 
     model_id: str
     name: str

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 ANNOTATED = "annotated.mcap"
 _BATCH_FRAMES = 8
-_BATCH_BYTES = 48 << 20  # of pixels; two batches are in memory at a time
+_BATCH_BYTES = 32 << 20  # of pixels; two batches are in memory at a time
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,6 +174,28 @@ def test_batches_are_small_and_progress_is_told(tmp_path: Path, store: Store) ->
     assert all(a.n_frames < b.n_frames for a, b in pairwise(told))
 
 
+@pytest.mark.parametrize(
+    ("name", "n_frames"),
+    [
+        ("brighton_ros2", 18),
+        ("caliterra_foxglove", 40),
+        ("lichtblick_custom_camera_model", 10),
+        ("pldm_frames", 25),
+        ("pldu_frames", 57),
+    ],
+)
+def test_real_recordings(data_dir: Path, store: Store, name: str, n_frames: int) -> None:
+    source = data_dir / "mcap" / f"{name}.mcap"
+    result = run(source, store)
+    assert (result.status, result.n_frames, result.n_bad_frames) == ("ok", n_frames, 0)
+    assert rows(store, "SELECT count(*), min(width) > 0, min(sharpness) > 0 FROM frames") == [
+        (n_frames, True, True)
+    ]
+    with result.annotated.open("rb") as file:
+        counts = make_reader(file, validate_crcs=True).get_summary().statistics.channel_message_counts
+    assert list(counts.values()).count(n_frames) >= 3  # the images, and two channels of ours
+
+
 def test_quality_of_known_pictures() -> None:
     """A checkerboard of 0 and 255: each Laplacian is 4 * 255 up or down."""
     board = (np.indices((8, 8)).sum(axis=0) % 2 * 255).astype(np.uint8)

@@ -12,8 +12,9 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.grid import GridCoder
+from lsnet.merge import MergeConfig, merge
 from lsnet.runtime import open_backend
-from lsnet.segments import Detections, Lines, Segments
+from lsnet.segments import Detections, Segments
 from lsnet.tiles import STRIDE_PX, join, tiles_of
 from lsnet.weights import load_weights
 
@@ -34,7 +35,8 @@ class Detector:
 
     def __init__(self, weights: Weights, backend: Backend, scale: float, min_score: float) -> None:
         self._weights, self._backend = weights, backend
-        self._coder = GridCoder()
+        self._coder, self._merge_config = GridCoder(), MergeConfig()
+        self._least_score = min(min_score, self._merge_config.min_segment_score)
         self.scale, self.min_score = scale, min_score
 
     @classmethod
@@ -115,15 +117,19 @@ class Detector:
         prepared: NDArray[np.uint8],
         image: NDArray[np.uint8],
     ) -> Detections:
-        """Threshold, cells to pixels, padding cut off, resize undone."""
+        """Threshold, cells to pixels, padding cut off, chained into lines, resize undone.
+
+        Lines are made of the same segments whatever the threshold, which then applies to their own score.
+        """
         source_size = (image.shape[0], image.shape[1])
         scaled_size = self._scaled_size(image)
-        raw = self._coder.decode(*maps, (prepared.shape[0], prepared.shape[1]), self.min_score)
+        raw = self._coder.decode(*maps, (prepared.shape[0], prepared.shape[1]), self._least_score)
         limit = np.array([scaled_size[1], scaled_size[0]] * 2, np.float32)
         beyond = (raw.endpoints >= limit).reshape(-1, 2, 2)  # of each endpoint, in x and in y
         is_padding = np.any(np.all(beyond, axis=1), axis=1)
         clipped = Segments(
             np.minimum(raw.endpoints, limit)[~is_padding], raw.scores[~is_padding], scaled_size
         )
-        segments = clipped if scaled_size == source_size else clipped.scaled_to(source_size)
-        return Detections(segments, Lines.empty(source_size))
+        lines = merge(clipped, self._merge_config).above(self.min_score)
+        segments = clipped.above(self.min_score)
+        return Detections(segments.scaled_to(source_size), lines.scaled_to(source_size))

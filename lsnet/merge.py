@@ -37,7 +37,7 @@ class MergeConfig:
     max_offset_px: float = 2.0  # of each one's middle from the other's line
     max_gap_px: float = 20.0  # along the line, between linked segments
     max_spread_px: float = 0.8  # of a chain's segments about its polyline; a wider chain is taken apart
-    min_length_px: float = 24.0  # a shorter chain is no line
+    min_length_px: float = 40.0  # a shorter chain is no line
     sure_length_px: float = 90.0  # at which a line's length has earned 63 % of what it can
     step_px: float = 16.0  # between the points of a polyline, before it is simplified
     flatness_px: float = 0.4  # how far simplifying may move it
@@ -64,8 +64,9 @@ def _lines_of(
     if not len(members):
         return []
     found = []
-    chain_of = link(segments.endpoints[members].astype(float), config, offset_px)
-    for k in range(chain_of.max() + 1):
+    ends = segments.endpoints[members].astype(float)
+    chain_of = link(ends, config, offset_px)
+    for k in np.flatnonzero(_diagonals(ends, chain_of) >= config.min_length_px):
         chain = members[chain_of == k]
         line, spread_px = _to_line(segments, chain, config)
         if spread_px > config.max_spread_px and offset_px > MIN_OFFSET_PX:
@@ -108,6 +109,16 @@ def _belong_together(
 def _cross(a: Float, b: Float) -> Float:
     out: Float = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return out
+
+
+def _diagonals(ends: Float, chain_of: NDArray[np.int32]) -> Float:
+    """(chains,) diagonal of the box around each chain: no line of it is longer."""
+    count = int(chain_of.max()) + 1
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    for points in (ends[:, :2], ends[:, 2:]):
+        np.minimum.at(low, chain_of, points)
+        np.maximum.at(high, chain_of, points)
+    return np.hypot(*(high - low).T)
 
 
 def _to_line(

@@ -50,6 +50,8 @@ class Segments:
 
     def scaled_to(self, image_size: tuple[int, int]) -> Segments:
         """The same segments in the pixels of the image resized to (height, width)."""
+        if image_size == self.image_size:
+            return self
         sy, sx = image_size[0] / self.image_size[0], image_size[1] / self.image_size[1]
         factor = np.array([sx, sy, sx, sy], np.float32)
         return Segments(self.endpoints * factor, self.scores, image_size)
@@ -81,6 +83,20 @@ class Lines:
     def empty(cls, image_size: tuple[int, int]) -> Lines:
         """No lines in an image of (height, width)."""
         return cls((), np.zeros(0, np.float32), image_size)
+
+    def above(self, min_score: float) -> Lines:
+        """The lines whose score is at least `min_score`, order kept."""
+        keep = np.flatnonzero(self.scores >= min_score)
+        return Lines(tuple(self.points[i] for i in keep), self.scores[keep], self.image_size)
+
+    def scaled_to(self, image_size: tuple[int, int]) -> Lines:
+        """The same lines in the pixels of the image resized to (height, width)."""
+        if image_size == self.image_size:
+            return self
+        factor = np.array(
+            [image_size[1] / self.image_size[1], image_size[0] / self.image_size[0]], np.float32
+        )
+        return Lines(tuple(points * factor for points in self.points), self.scores, image_size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

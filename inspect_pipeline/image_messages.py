@@ -1,7 +1,7 @@
 """Image messages taken apart, whatever their schema and encoding.
 
-One table, `_PARSERS`, lists what is read: Foxglove's CompressedImage and RawImage in protobuf, JSON,
-FlatBuffers and ROS 2, and CompressedImage and Image of sensor_msgs in ROS 1 and ROS 2.
+One table, `_PARSERS`, lists what is read: Foxglove's CompressedImage, CompressedVideo and RawImage in
+protobuf, JSON, FlatBuffers and ROS 2, and CompressedImage and Image of sensor_msgs in ROS 1 and ROS 2.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 import base64
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from inspect_pipeline.wire import MALFORMED, CdrReader, FlatbufferTable, Ros1Reader
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from inspect_pipeline.wire import SequentialReader
+
+_VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")
 
 
 class ImageError(ValueError):
@@ -43,7 +46,8 @@ class ImageMessage:
     """An image message taken apart.
 
     `encoding` is what the message calls it: a pixel encoding such as "bgr8" of a raw image, else a format
-    such as "jpeg". `raw` is None when the image is compressed.
+    such as "jpeg" or "h264". `raw` is None when the image is compressed. `is_video` is set when it is one
+    of a video, which stands on those before it.
     """
 
     stamp_ns: int
@@ -51,6 +55,7 @@ class ImageMessage:
     encoding: str
     data: bytes | memoryview
     raw: RawLayout | None = None
+    is_video: bool = False
 
 
 def is_image(schema_name: str, message_encoding: str) -> bool:
@@ -62,13 +67,26 @@ def parse(schema_name: str, message_encoding: str, payload: memoryview) -> Image
     """Take an image message apart. Raises ImageError when it is malformed, KeyError when it is no image."""
     parser = _PARSERS[schema_name, message_encoding]
     try:
-        return parser(payload)
+        message = parser(payload)
     except MALFORMED as error:
         raise ImageError(f"the message is not a {schema_name}") from error
+    if message.raw is None and (schema_name.endswith("Video") or _is_video_stream(message.data)):
+        return replace(message, is_video=True)
+    return message
+
+
+def _is_video_stream(data: bytes | memoryview) -> bool:
+    """Whether data begin as H.264 and H.265 streams do, whatever the message calls them."""
+    return bytes(data[:4]).startswith(_VIDEO_START_CODES)
 
 
 def _protobuf_compressed(payload: memoryview) -> ImageMessage:
     message = CompressedImage.FromString(bytes(payload))
+    return ImageMessage(message.timestamp.ToNanoseconds(), message.frame_id, message.format, message.data)
+
+
+def _protobuf_video(payload: memoryview) -> ImageMessage:
+    message = CompressedVideo.FromString(bytes(payload))
     return ImageMessage(message.timestamp.ToNanoseconds(), message.frame_id, message.format, message.data)
 
 
@@ -155,10 +173,14 @@ _PARSERS: dict[tuple[str, str], Callable[[memoryview], ImageMessage]] = {
     ("foxglove.CompressedImage", "protobuf"): _protobuf_compressed,
     ("foxglove.CompressedImage", "json"): _json_compressed,
     ("foxglove.CompressedImage", "flatbuffer"): _flatbuffer_compressed,
+    ("foxglove.CompressedVideo", "protobuf"): _protobuf_video,
+    ("foxglove.CompressedVideo", "json"): _json_compressed,
+    ("foxglove.CompressedVideo", "flatbuffer"): _flatbuffer_compressed,
     ("foxglove.RawImage", "protobuf"): _protobuf_raw,
     ("foxglove.RawImage", "json"): _json_raw,
     ("foxglove.RawImage", "flatbuffer"): _flatbuffer_raw,
     ("foxglove_msgs/msg/CompressedImage", "cdr"): _by(CdrReader, _foxglove_ros2_compressed),
+    ("foxglove_msgs/msg/CompressedVideo", "cdr"): _by(CdrReader, _foxglove_ros2_compressed),
     ("foxglove_msgs/msg/RawImage", "cdr"): _by(CdrReader, _foxglove_ros2_raw),
     ("sensor_msgs/msg/CompressedImage", "cdr"): _by(CdrReader, _ros_compressed),
     ("sensor_msgs/msg/Image", "cdr"): _by(CdrReader, _ros_raw),

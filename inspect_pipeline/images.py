@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from inspect_pipeline.image_messages import ImageError, ImageMessage, is_image, parse
+from inspect_pipeline.video import can_decode
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["ImageError", "ImageMessage", "decode", "is_image", "parse", "refusal"]
 
 _MAX_PIXELS = 256 << 20  # a header that claims more is damage or an attack
-_VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")
 _JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 _JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
@@ -65,7 +65,9 @@ def refusal(message: ImageMessage, topic: str) -> str | None:
     if message.raw is None:
         if "compresseddepth" in encoding.lower() or topic.endswith("/compressedDepth"):
             return "it holds distances"
-        return "it holds video" if _is_video(message.data) else None
+        return (
+            "it holds video, which needs the extra 'video'" if message.is_video and not can_decode() else None
+        )
     if encoding == "32FC1" or (encoding in {"16UC1", "mono16"} and "depth" in topic.lower()):
         return "it holds distances"
     return None if encoding in _RAW else f"its pixel encoding {encoding!r} is not known"
@@ -75,7 +77,7 @@ def decode(message: ImageMessage) -> NDArray[np.uint8]:
     """The pixels as stored, EXIF orientation ignored: uint8 (height, width, 3) RGB. Raises ImageError."""
     if not message.data:
         raise ImageError("the image is empty")
-    if message.raw is None and _is_video(message.data):
+    if message.is_video:
         raise ImageError("the image is a piece of video")
     try:
         if message.raw is None:
@@ -83,11 +85,6 @@ def decode(message: ImageMessage) -> NDArray[np.uint8]:
         return _decode_raw(message.encoding, message.raw, np.frombuffer(message.data, np.uint8))
     except cv2.error as error:
         raise ImageError("the image cannot be decoded") from error
-
-
-def _is_video(data: bytes | memoryview) -> bool:
-    """Whether data begin as H.264 and H.265 streams do."""
-    return bytes(data[:4]).startswith(_VIDEO_START_CODES)
 
 
 def _decode_compressed(data: NDArray[np.uint8]) -> NDArray[np.uint8]:

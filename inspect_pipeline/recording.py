@@ -67,6 +67,7 @@ class Recording:
     start_ns, end_ns: first and last log time, both 0 without messages.
     camera_channels: the colour cameras, each once, in the order of their topics.
     refusals: topics of images that are no cameras, and why.
+    video_channel_ids: channels whose images are pieces of a video.
     metadata: the Metadata records by name.
     losses: one phrase per part that cannot be read; grows while frames are read.
     layout: where the records lie, for those who append to the file.
@@ -81,6 +82,7 @@ class Recording:
     channels: tuple[ChannelSummary, ...]
     camera_channels: tuple[CameraChannel, ...]
     refusals: Mapping[str, str]
+    video_channel_ids: frozenset[int]
     metadata: Mapping[str, Mapping[str, str]]
     n_attachments: int
     layout: Layout
@@ -145,7 +147,7 @@ def open_recording(path: Path, *, strict: bool = False) -> Recording:
     with reading(path) as file:
         layout = read_layout(file)
         channels = _channel_summaries(file, layout)
-        cameras, refusals = find_cameras(file, layout, channels)
+        cameras = find_cameras(file, layout, channels)
         extents = [e for e in layout.extents if e.channel_ids is None or e.channel_ids]
         recording = Recording(
             path=path,
@@ -155,8 +157,9 @@ def open_recording(path: Path, *, strict: bool = False) -> Recording:
             start_ns=min((e.start_ns for e in extents), default=0),
             end_ns=max((e.end_ns for e in extents), default=0),
             channels=channels,
-            camera_channels=cameras,
-            refusals=refusals,
+            camera_channels=cameras.channels,
+            refusals=cameras.refusals,
+            video_channel_ids=cameras.video_channel_ids,
             metadata=_read_metadata(file, layout),
             n_attachments=len(layout.attachments),
             layout=layout,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from inspect_pipeline import images
 from inspect_pipeline.errors import RecordingError
@@ -12,7 +12,7 @@ from inspect_pipeline.recording_extents import MESSAGE_HEAD, Damage, message_ent
 from inspect_pipeline.types import CameraChannel
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Mapping
 
     from inspect_pipeline.recording import ChannelSummary, Recording
     from inspect_pipeline.recording_extents import RecordingFile
@@ -22,23 +22,30 @@ if TYPE_CHECKING:
 _FORMS = frozenset({"compressed", "raw", "image", "image_raw", "image_color", "image_compressed"})
 
 
-def find_cameras(
-    file: RecordingFile, layout: Layout, channels: Iterable[ChannelSummary]
-) -> tuple[tuple[CameraChannel, ...], dict[str, str]]:
-    """The channels of colour images that have messages, and why other topics of images are refused.
+class Cameras(NamedTuple):
+    """The cameras of a recording, why other topics of images are refused, and which channels hold video."""
 
-    Of a camera in several forms only the fullest topic is taken.
-    """
-    pictures, refusals = [], {}
+    channels: tuple[CameraChannel, ...]
+    refusals: Mapping[str, str]
+    video_channel_ids: frozenset[int]
+
+
+def find_cameras(file: RecordingFile, layout: Layout, channels: Iterable[ChannelSummary]) -> Cameras:
+    """The channels of colour images that have messages. Of a camera in several forms the fullest topic."""
+    pictures, refusals, video_ids = [], {}, set()
     for channel in channels:
         if channel.message_count == 0:
             continue
-        if reason := _refusal(file, layout, channel):
+        first = _first_image(file, layout, channel)
+        if first and first.is_video:
+            video_ids.add(channel.channel_id)
+        if reason := _refusal(channel, first):
             refusals[channel.topic] = reason
         elif _is_image(channel):
             pictures.append(channel)
     taken = _one_topic_per_camera(pictures)
-    return tuple(_to_camera(channel) for channel in pictures if channel.topic in taken), refusals
+    cameras = tuple(_to_camera(channel) for channel in pictures if channel.topic in taken)
+    return Cameras(cameras, refusals, frozenset(video_ids))
 
 
 def _one_topic_per_camera(pictures: Iterable[ChannelSummary]) -> Collection[str]:
@@ -89,19 +96,23 @@ def _camera_name(topic: str) -> str:
     return "/".join(parts)
 
 
-def _refusal(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> str | None:
+def _refusal(channel: ChannelSummary, first: images.ImageMessage | None) -> str | None:
     """Why a channel of images is not processed, by its first one; one that cannot be read is no reason."""
     if not _is_image(channel):
         is_alike = re.search(r"(Image|Video)$", channel.schema_name)
         return f"{channel.schema_name} in {channel.message_encoding} is not read" if is_alike else None
-    payload = _first_payload(file, layout, channel.channel_id)
+    return images.refusal(first, channel.topic) if first else None
+
+
+def _first_image(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> images.ImageMessage | None:
+    """The first message of a channel of images; None when it cannot be read, and of other channels."""
+    payload = _first_payload(file, layout, channel.channel_id) if _is_image(channel) else None
     if payload is None:
         return None
     try:
-        message = images.parse(channel.schema_name, channel.message_encoding, payload)
+        return images.parse(channel.schema_name, channel.message_encoding, payload)
     except images.ImageError:
         return None
-    return images.refusal(message, channel.topic)
 
 
 def _first_payload(file: RecordingFile, layout: Layout, channel_id: int) -> memoryview | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from inspect_pipeline import images
@@ -12,9 +13,13 @@ from inspect_pipeline.recording_extents import STRICT_REMEDY, Damage, reading
 from inspect_pipeline.recording_layout import count_messages
 from inspect_pipeline.recording_merge import Message, iter_messages
 from inspect_pipeline.types import Frame
+from inspect_pipeline.video import VideoDecoder
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from inspect_pipeline.recording import Recording
     from inspect_pipeline.recording_extents import Extent, RecordingFile
@@ -33,8 +38,8 @@ def iter_frames(
     """The camera frames with start_ns <= log time < end_ns in log-time order, ties by position in the file.
 
     frame_idx counts every image message of a channel, and only frames whose frame_idx is a multiple of
-    `every` are decoded. Raises RecordingError: at the call when there is no such camera, while iterating
-    when nothing can be read, or anything is lost of a `strict` recording.
+    `every` are decoded, of a video also those they stand on. Raises RecordingError: at the call when there
+    is no such camera, while iterating when nothing can be read, or anything is lost of a `strict` recording.
     """
     cameras = select_cameras(recording, topics)
     return _iter_frames(recording, cameras, every, start_ns, end_ns)
@@ -54,13 +59,19 @@ def _iter_frames(
         extents = [
             e for e in recording.layout.extents if e.channel_ids is None or e.channel_ids & by_id.keys()
         ]
-        n_seen = _count_before(file, extents, first_ns, losses)
-        overlapping = [e for e in extents if e.end_ns >= first_ns and e.start_ns < last_ns]
+        videos = {i: VideoDecoder() for i in by_id.keys() & recording.video_channel_ids}
+        read_ns = 0 if videos else first_ns  # a video may begin long before its picture at `start_ns`
+        n_seen = _count_before(file, extents, read_ns, losses)
+        overlapping = [e for e in extents if e.end_ns >= read_ns and e.start_ns < last_ns]
         for message in iter_messages(file, overlapping, frozenset(by_id), losses.add):
+            camera, video = by_id[message.channel_id], videos.get(message.channel_id)
             frame_idx = n_seen[message.channel_id]
             n_seen[message.channel_id] += 1
             if first_ns <= message.log_time_ns < last_ns and frame_idx % every == 0:
-                yield _to_frame(by_id[message.channel_id], frame_idx, message)
+                yield _to_frame(camera, frame_idx, message, video.decode if video else images.decode)
+            elif video:
+                with suppress(images.ImageError):
+                    video.pass_over(_parse(camera, message))
     if losses.n_extents and losses.n_extents == len(extents):
         raise RecordingError(recording.path, recording.losses[-1], "not one image can be read, copy it again")
 
@@ -108,12 +119,21 @@ def _count_before(
     return counts
 
 
-def _to_frame(camera: CameraChannel, frame_idx: int, message: Message) -> Frame:
+def _parse(camera: CameraChannel, message: Message) -> images.ImageMessage:
+    return images.parse(camera.schema_name, camera.message_encoding, message.data)
+
+
+def _to_frame(
+    camera: CameraChannel,
+    frame_idx: int,
+    message: Message,
+    decode: Callable[[images.ImageMessage], NDArray[np.uint8]],
+) -> Frame:
     stamp_ns, frame_id, image, error = message.log_time_ns, "", None, None
     try:
-        parsed = images.parse(camera.schema_name, camera.message_encoding, message.data)
+        parsed = _parse(camera, message)
         stamp_ns, frame_id = parsed.stamp_ns, parsed.frame_id
-        image = images.decode(parsed)
+        image = decode(parsed)
     except images.ImageError as reason:
         error = str(reason)
     return Frame(

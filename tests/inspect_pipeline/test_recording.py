@@ -258,16 +258,17 @@ def test_no_camera_topic_is_refused_at_the_call(tmp_path: Path) -> None:
         iter_frames(open_recording(path), topics=["/thermal"])
 
 
-def test_why_images_are_refused_is_told(tmp_path: Path) -> None:
+def test_why_images_are_refused_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("inspect_pipeline.images.can_decode", lambda: False)
     video = [shot._replace(data=b"\0\0\0\1\x67 h264") for shot in shots(2)]
     path = make_recording(tmp_path / "a.mcap", video)
-    assert open_recording(path).refusals == {CAMERA: "it holds video"}
+    assert open_recording(path).refusals == {CAMERA: "it holds video, which needs the extra 'video'"}
     with pytest.raises(RecordingError, match=f"no camera topic; {CAMERA}: it holds video"):
         iter_frames(open_recording(path))
     how = factories.ENCODINGS["json"]
-    unknown = factories.Encoding("foxglove.CompressedVideo", "jsonschema", b"{}", "json", how.encode)
+    unknown = factories.Encoding("other.CompressedVideo", "jsonschema", b"{}", "json", how.encode)
     path = make_recording(tmp_path / "b.mcap", shots(2), encoding=unknown)
-    with pytest.raises(RecordingError, match=r"foxglove\.CompressedVideo in json is not read"):
+    with pytest.raises(RecordingError, match=r"other\.CompressedVideo in json is not read"):
         iter_frames(open_recording(path))
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from inspect_pipeline.commands import (
-    batch,
     detect,
     doctor,
     index,
@@ -36,7 +35,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command()(process.process)
-app.command()(batch.batch)
 app.command()(query.query)
 app.command()(info.info)
 app.command()(detect.detect)

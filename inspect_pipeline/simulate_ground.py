@@ -42,17 +42,29 @@ def ground_to_texels() -> NDArray[np.float64]:
 
 def _noise(rng: np.random.Generator, shortest_m: float, longest_m: float) -> NDArray[np.float32]:
     """Noise of mean 0 and variance 1 with wavelengths in a band, as strong at each octave; it tiles."""
-    rows, columns = TILE_TEXELS
-    fy, fx = np.fft.fftfreq(rows, TEXEL_M), np.fft.rfftfreq(columns, TEXEL_M)
+    coarse = max(1, int(shortest_m / (8 * TEXEL_M)))  # texels in one that is fine enough for the band
+    coarse = 1 << coarse.bit_length() - 1
+    rows, columns = (n // coarse for n in TILE_TEXELS)
+    fy, fx = np.fft.fftfreq(rows, TEXEL_M * coarse), np.fft.rfftfreq(columns, TEXEL_M * coarse)
     frequency = np.hypot(*np.meshgrid(fx, fy)).astype(np.float32)
     frequency[0, 0] = np.inf
     band = (
         np.exp(-((frequency * shortest_m) ** 4)) * (1 - np.exp(-((frequency * longest_m) ** 4))) / frequency
     )
-    spectrum = np.fft.rfft2(rng.standard_normal(TILE_TEXELS, np.float32)) * band
-    noise: NDArray[np.float32] = np.fft.irfft2(spectrum, TILE_TEXELS).astype(np.float32)
-    noise /= noise.std()
-    return noise
+    spectrum = np.fft.rfft2(rng.standard_normal((rows, columns), np.float32)) * band
+    noise = np.fft.irfft2(spectrum, (rows, columns)).astype(np.float32)
+    return _enlarge(noise / noise.std(), coarse)
+
+
+def _enlarge(noise: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Noise that tiles, with `factor` times as many texels each way."""
+    if factor == 1:
+        return noise
+    border = 2
+    wrapped = np.pad(noise, border, mode="wrap")
+    fine = cv2.resize(wrapped, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+    inside = slice(border * factor, -border * factor)
+    return fine[inside, inside].astype(np.float32, copy=False)
 
 
 def _add_road(

@@ -6,6 +6,7 @@ import ast
 import json
 import re
 import shlex
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ import cli
 import lsnet
 from inspect_pipeline.commands import index as index_commands
 from inspect_pipeline.commands import model as model_commands
+from inspect_pipeline.simulate import SimulationOptions, simulate_flight
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,6 +40,13 @@ WITH_NETWORK = ("detect", "model")  # these have tests of their own, with shippe
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("docs")
+
+
+@pytest.fixture(scope="module")
+def small_flight(folder: Path) -> Path:
+    path = folder / "small.mcap"
+    simulate_flight(path, SimulationOptions(seconds=1, image_size=(120, 160)))
+    return path
 
 
 @pytest.fixture
@@ -88,9 +97,9 @@ def test_the_query_of_the_readme(run: Callable[..., str]) -> None:
     assert f'"{sql.strip()}"' in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
-def test_the_python_of_the_readme(run: Callable[..., str], folder: Path) -> None:
+def test_the_python_of_the_readme(run: Callable[..., str], folder: Path, small_flight: Path) -> None:
     source = re.search(r"```python\n(.*?)```", README, re.DOTALL).group(1)
-    run("simulate", "flight.mcap", "--seconds", "1", "--size", "160x120")
+    shutil.copy(small_flight, folder / "flight.mcap")
     exec(compile(ast.parse(source), "README.md", "exec"), {})  # noqa: S102 - our own text
 
 
@@ -118,10 +127,9 @@ def test_links_lead_somewhere() -> None:
                 assert (path.parent / target).exists(), f"{path.name}: {target}"
 
 
-def test_the_formats_are_those_that_are_written(run: Callable[..., str], folder: Path) -> None:
+def test_the_formats_are_those_that_are_written(run: Callable[..., str], small_flight: Path) -> None:
     """The fields of lsnet.Detections and the keys of the metadata, as the files say them."""
-    run("simulate", "formats.mcap", "--seconds", "1", "--size", "160x120")
-    annotated = json.loads(run("process", "formats.mcap", "--json"))["annotated"]
+    annotated = json.loads(run("process", str(small_flight), "--force", "--json"))["annotated"]
     with Path(annotated).open("rb") as file:
         reader = make_reader(file)
         schemas = {schema.name: schema.data for schema in reader.get_summary().schemas.values()}

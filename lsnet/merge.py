@@ -118,7 +118,8 @@ def _diagonals(ends: Float, chain_of: NDArray[np.int32]) -> Float:
     for points in (ends[:, :2], ends[:, 2:]):
         np.minimum.at(low, chain_of, points)
         np.maximum.at(high, chain_of, points)
-    return np.hypot(*(high - low).T)
+    diagonals: Float = np.hypot(*(high - low).T)
+    return diagonals
 
 
 def _to_line(

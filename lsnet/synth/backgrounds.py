@@ -129,4 +129,4 @@ def plain(rng: Rng, size: int) -> Image:
     image += grain(rng, size, rng.uniform(0, 14), 1)
     image += grain(rng, size, rng.uniform(0, 16), int(rng.integers(2, 12)))
     image += grain(rng, size, rng.uniform(0, 22), int(rng.integers(12, 90)))
-    return image
+    return image.astype(np.float32, copy=False)

@@ -1,0 +1,157 @@
+"""Weights files: what is written is read, anything else is one line."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from importlib import resources
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from nets import TINY, save_tiny, tiny_net
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from lsnet import Detector, weights
+from lsnet.errors import LSNetError
+from lsnet.weights import WeightsCard, load_weights, save_weights, shipped
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    return save_tiny(tmp_path / "tiny.safetensors")
+
+
+def header(path: Path) -> dict[str, str]:
+    with safe_open(path, framework="pt") as opened:
+        return opened.metadata()
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    net, path = tiny_net(3), tmp_path / "w.safetensors"
+    card = WeightsCard("mine", "fast", TINY, 0.4, 1.5, {"steps": 7}, {"ods": 0.8})
+    sha256 = save_weights(path, net, card)
+    loaded = load_weights(path)
+    assert loaded.card == card
+    assert loaded.sha256 == sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert not loaded.net.training
+    for name, tensor in net.state_dict().items():
+        assert torch.equal(loaded.net.state_dict()[name], tensor)
+    image = torch.rand(1, 3, 32, 48)
+    with torch.no_grad():
+        assert torch.equal(loaded.net(image).logits, net(image).logits)
+    assert json.loads(header(path)["lsnet"])["format"] == 1
+
+
+def test_weights_laid_out_for_speed_are_saved_too(tmp_path: Path) -> None:
+    net = tiny_net().to(memory_format=torch.channels_last)
+    save_weights(tmp_path / "w.safetensors", net, WeightsCard("a", "fast", TINY, 0.5))
+    key = "extractor.0.0.weight"
+    assert torch.equal(load_weights(tmp_path / "w.safetensors").net.state_dict()[key], net.state_dict()[key])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.pop("classifier.1.bias"), "Missing key"),
+        (lambda t: t.update(other=torch.zeros(2)), "Unexpected key"),
+        (lambda t: t.update({"classifier.1.bias": torch.zeros(3)}), "size mismatch"),
+    ],
+    ids=["missing", "extra", "wrong shape"],
+)
+def test_every_tensor_must_be_there_and_fit(saved: Path, change: object, message: str) -> None:
+    tensors, metadata = load_file(saved), header(saved)
+    change(tensors)
+    save_file(tensors, saved, metadata)
+    with pytest.raises(LSNetError, match=message) as error:
+        load_weights(saved)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 500
+
+
+@pytest.mark.parametrize(
+    "card",
+    [
+        None,
+        "no json",
+        "[]",
+        "{}",
+        '{"format": 2}',
+        '{"format": 1}',
+        '{"format": 1, "network": {"stage_channels": [4]}}',
+        json.dumps({"format": 1, "name": "a", "surprise": 1}),
+    ],
+)
+def test_other_cards_are_refused(saved: Path, card: str | None) -> None:
+    save_file(load_file(saved), saved, None if card is None else {"lsnet": card})
+    with pytest.raises(LSNetError, match="not weights that this version can use") as error:
+        load_weights(saved)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("stage_channels", []), ("stage_channels", [4, -1]), ("norm", "group"), ("stem", 3)]
+)
+def test_other_networks_are_refused(saved: Path, key: str, value: object) -> None:
+    card = json.loads(header(saved)["lsnet"])
+    card["network"][key] = value
+    save_file(load_file(saved), saved, {"lsnet": json.dumps(card)})
+    with pytest.raises(LSNetError, match="not weights that this version can use"):
+        load_weights(saved)
+
+
+@pytest.mark.parametrize("length", [0, 7, 100, 2000])
+def test_files_that_are_cut_off_are_refused(saved: Path, length: int) -> None:
+    saved.write_bytes(saved.read_bytes()[:length])
+    with pytest.raises(LSNetError, match="not weights that this version can use"):
+        load_weights(saved)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 1200), st.integers(0, 255))
+def test_a_damaged_header_is_refused_or_harmless(tmp_path: Path, at: int, byte: int) -> None:
+    path = save_tiny(tmp_path / "tiny.safetensors")
+    data = bytearray(path.read_bytes())
+    data[at] = byte
+    path.write_bytes(data)
+    with contextlib.suppress(LSNetError):
+        load_weights(path)
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    for name in (tmp_path, tmp_path / "none", "nonesuch"):
+        with pytest.raises(LSNetError, match=r"no such weights; give a \.safetensors file or a shipped name"):
+            load_weights(name)
+    with pytest.raises(LSNetError, match="cannot be written"):
+        save_weights(tmp_path / "none/x", tiny_net(), WeightsCard("a", "fast", TINY, 0.5))
+
+
+def test_shipped_weights_are_what_was_recorded() -> None:
+    folder = resources.files("lsnet.pretrained")
+    files = {f.name.removesuffix(".safetensors") for f in folder.iterdir() if f.name.endswith(".safetensors")}
+    assert files == set(shipped())
+    for name, sha256 in shipped().items():
+        loaded = load_weights(name)
+        data = folder.joinpath(f"{name}.safetensors").read_bytes()
+        assert sha256 == loaded.sha256 == hashlib.sha256(data).hexdigest()
+        assert loaded.card.name == name
+        assert 0 < loaded.card.min_score < 1
+        assert loaded.card.recipe
+        assert loaded.card.metrics
+        blank = np.full((64, 64, 3), 128, np.uint8)
+        assert len(Detector.load(name, runtime="torch").detect([blank])[0].segments) == 0
+
+
+def test_shipped_weights_that_changed_are_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(weights, "shipped", lambda: {"tiny": "0" * 64})
+    monkeypatch.setattr(weights.resources, "files", lambda _package: saved.parent)
+    with pytest.raises(LSNetError, match="damaged"):
+        load_weights("tiny")

@@ -1,0 +1,46 @@
+"""Tiny networks with random weights, for tests of what is around the network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from lsnet.model import LSNet, LSNetConfig
+from lsnet.weights import WeightsCard, save_weights
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TINY = LSNetConfig(
+    stem_channels=4,
+    stage_channels=(4, 8, 8),
+    head_channels=8,
+    norm="batch",
+    downsample="first",
+    residual=True,
+)
+
+
+def tiny_net(seed: int = 0, config: LSNetConfig = TINY) -> LSNet:
+    """A network in evaluation mode with norms that do something and scores on both sides of a half."""
+    torch.manual_seed(seed)
+    net = LSNet(config)
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.running_mean.normal_(0, 0.1)
+                module.running_var.uniform_(0.5, 1.5)
+                module.weight.uniform_(0.5, 1.5)
+                module.bias.normal_(0, 0.1)
+        net.classifier[-1].weight.normal_(0, 1.0)
+        net.classifier[-1].bias.zero_()
+        net.regressor[-1].weight.normal_(0, 0.1)
+    return net.eval()
+
+
+def save_tiny(path: Path, seed: int = 0, **card: object) -> Path:
+    """A weights file with a tiny network."""
+    values = {"name": "tiny", "preset": "fast", "network": TINY, "min_score": 0.5} | card
+    save_weights(path, tiny_net(seed), WeightsCard(**values))
+    return path

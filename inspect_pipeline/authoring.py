@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, cast
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from mcap.writer import CompressionType, Writer
 
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 
     from google.protobuf.descriptor import FileDescriptor
     from google.protobuf.message import Message
+
+    from inspect_pipeline.attitude import Quaternion
 
 
 @contextmanager
@@ -50,6 +54,21 @@ class RecordingAuthor:
     def write_image(self, topic: str, time_ns: int, frame_id: str, data: bytes, image_format: str) -> None:
         """Append an encoded image as foxglove.CompressedImage; `image_format` is "jpeg", "png" or "webp"."""
         message = CompressedImage(frame_id=frame_id, data=data, format=image_format)
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_video(self, topic: str, time_ns: int, frame_id: str, data: bytes, codec: str) -> None:
+        """Append a picture of a video in Annex B as foxglove.CompressedVideo; `codec` is "h264" or "h265"."""
+        message = CompressedVideo(frame_id=frame_id, data=data, format=codec)
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_attitude(
+        self, topic: str, time_ns: int, parent_frame_id: str, child_frame_id: str, rotation: Quaternion
+    ) -> None:
+        """Append the rotation of a frame in its parent as foxglove.FrameTransform, without translation."""
+        message = FrameTransform(parent_frame_id=parent_frame_id, child_frame_id=child_frame_id)
+        message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z = rotation
         message.timestamp.FromNanoseconds(time_ns)
         self._write(topic, time_ns, message)
 

@@ -21,7 +21,7 @@ av = pytest.importorskip("av")
 
 N_PICTURES, KEY_EVERY = 24, 8
 ENCODERS = {
-    "h264": ("libx264", {"bframes": "0", "tune": "zerolatency", "preset": "ultrafast"}),
+    "h264": ("libx264", {"bf": "0", "tune": "zerolatency", "preset": "ultrafast"}),
     "h265": ("libx265", {"x265-params": "bframes=0:repeat-headers=1:log-level=none", "preset": "ultrafast"}),
     "vp9": ("libvpx-vp9", {"deadline": "realtime", "lag-in-frames": "0", "auto-alt-ref": "0"}),
     "av1": ("libsvtav1", {"preset": "12", "svtav1-params": "pred-struct=1:lp=1"}),

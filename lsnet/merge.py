@@ -36,7 +36,7 @@ class MergeConfig:
     max_angle_deg: float = 12.0  # between linked segments
     max_offset_px: float = 2.0  # of each one's middle from the other's line
     max_gap_px: float = 20.0  # along the line, between linked segments
-    max_spread_px: float = 0.8  # of a chain's segments about its polyline; a wider chain is taken apart
+    max_spread_px: float = 1.5  # of a chain's segments about its polyline; a wider chain is taken apart
     min_length_px: float = 40.0  # a shorter chain is no line
     sure_length_px: float = 90.0  # at which a line's length has earned 63 % of what it can
     step_px: float = 16.0  # between the points of a polyline, before it is simplified

@@ -12,6 +12,8 @@ from lsnet.weights import WeightsCard, save_weights
 if TYPE_CHECKING:
     from pathlib import Path
 
+torch.set_num_threads(1)  # threads on tiny networks only wait for each other
+
 TINY = LSNetConfig(
     stem_channels=4,
     stage_channels=(4, 8, 8),

@@ -1,0 +1,155 @@
+"""`lsnet-pipe model bench|eval|export|train`, on tiny networks and few images."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from nets import TINY, save_tiny
+from typer.testing import CliRunner
+
+import cli
+from lsnet import LSNetError, load_weights, model, train
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from click.testing import Result
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    threads = torch.get_num_threads()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(model.PRESETS, "tiny", TINY)
+    save_tiny(tmp_path / "w.safetensors", min_score=0.4)
+    yield
+    torch.set_num_threads(threads)
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.app, ["model", *(str(word) for word in arguments)])
+
+
+def photos(folder: Path, count: int = 2) -> Path:
+    folder.mkdir()
+    for i in range(count):
+        image = np.random.default_rng(i).integers(0, 256, (70, 100, 3), dtype=np.uint8)
+        cv2.imwrite(str(folder / f"{i}.png"), image)
+    return folder
+
+
+TINY_RUN = ("--runtime", "torch", "--weights", "w.safetensors")
+
+
+def test_bench_tells_what_was_measured(tmp_path: Path) -> None:
+    folder = photos(tmp_path / "photos")
+    for arguments in ((), ("--images", folder)):
+        result = run("bench", "--json", "--size", 32, "--seconds", 0.1, *arguments, *TINY_RUN)
+        assert (result.exit_code, result.stderr) == (0, "")
+        told = json.loads(result.stdout)
+        assert set(told) == {"frames_per_s", "backend", "precision", "threads", "preset", "size"}
+        assert told["frames_per_s"] > 0
+        assert (told["backend"], told["precision"], told["preset"], told["size"]) == (
+            *("torch", "f32", "fast"),
+            32,
+        )
+        assert told["threads"] >= 1
+
+
+def test_bench_without_json_is_a_sentence() -> None:
+    result = run("bench", "--size", 32, "--seconds", 0.1, *TINY_RUN)
+    assert "frames/s at 32x32: preset fast, torch f32" in result.stdout
+
+
+def write_masks(folder: Path) -> Path:
+    for kind in ("images", "masks"):
+        (folder / kind).mkdir(parents=True)
+    mask = np.zeros((64, 80), np.uint8)
+    mask[30:34] = 255
+    cv2.imwrite(str(folder / "masks/a.png"), mask)
+    cv2.imwrite(str(folder / "images/a.jpg"), np.dstack([255 - mask] * 3))
+    return folder
+
+
+def test_eval_of_sets_with_and_without_truth(tmp_path: Path) -> None:
+    with_masks, plain = write_masks(tmp_path / "m"), photos(tmp_path / "plain")
+    result = run("eval", "m", "plain", "--json", *TINY_RUN)
+    assert (result.exit_code, result.stderr) == (0, "")
+    *pixel, share = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [report["tolerance_px"] for report in pixel] == [1.0, 3.0, 4.87]
+    for report in pixel:
+        assert (report["folder"], report["images"]) == (with_masks.name, 1)
+        assert set(report["ods"]) == {"threshold", "precision", "recall", "f1", "mean_f1"}
+        assert report["at_min_score"]["threshold"] == 0.4
+    assert (share["folder"], share["images"]) == (plain.name, 2)
+    assert share["reported"]["0.3"] >= share["reported"]["0.4"] >= share["reported"]["0.9"]
+    text = run("eval", "m", "plain", "--min-score", 0.6, *TINY_RUN).stdout
+    assert len(text.splitlines()) == 4
+    assert "at score 0.60" in text
+
+
+def test_eval_of_no_images_is_one_line() -> None:
+    result = run("eval", "none", *TINY_RUN)
+    assert isinstance(result.exception, LSNetError)
+    assert str(result.exception).startswith("none: no images to evaluate")
+
+
+def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train.TrainConfig.__init__, "__defaults__", _with_few_validation_images())
+    photos(tmp_path / "photos")
+    words = ("--run", "run", "--background", "photos:1", "--preset", "tiny", "--crop", 64)
+    steps = ("--steps", 4, "--batch-size", 2, "--validate-every", 2, "--workers", 0)
+    result = run("train", *words, *steps)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.startswith("run/best.pt: validation loss ")
+    assert [json.loads(line)["step"] for line in (tmp_path / "run/log.jsonl").read_text().splitlines()] == [
+        2,
+        4,
+    ]
+    assert run("train", *words, *steps).stdout == result.stdout  # nothing left to do
+    other = run("train", *words, *steps, "--learning-rate", 0.5)
+    assert "give another --run folder" in str(other.exception)
+    exported = run("export", "--run", "run", "-o", "mine.safetensors", "--name", "mine", "--min-score", 0.3)
+    loaded = load_weights("mine.safetensors")
+    assert exported.stdout == f"mine.safetensors: mine, sha256 {loaded.sha256}\n"
+    assert loaded.card.recipe["data"] == "drawn on photos, first 1, 64 px, seed 0"
+    found = CliRunner().invoke(
+        cli.app, ["detect", "photos/0.png", "--json", "--weights", "mine.safetensors", "--runtime", "torch"]
+    )
+    assert json.loads(found.stdout)["path"] == "photos/0.png"
+
+
+def _with_few_validation_images() -> tuple[object, ...]:
+    defaults = train.TrainConfig.__init__.__defaults__
+    return tuple(2 if value == 256 else value for value in defaults)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--preset", "huge"), "no preset 'huge'; choose one of"),
+        (("--crop", 100), "multiple of 16"),
+        (("--background", "none:4"), "none: not a folder"),
+        (("--data", "none"), "--data needs --validation"),
+        (("--data", "none", "--validation", "none"), "none: not a folder"),
+        (("--start", "none.pt"), "none.pt: missing or damaged"),
+    ],
+    ids=lambda value: " ".join(map(str, value)) if isinstance(value, tuple) else "",
+)
+def test_what_cannot_be_trained_is_one_line(arguments: tuple[object, ...], message: str) -> None:
+    result = run("train", "--run", "run", "--workers", 0, *arguments)
+    assert isinstance(result.exception, LSNetError)
+    assert message in str(result.exception)
+    assert "\n" not in str(result.exception)
+
+
+def test_export_of_no_run_is_one_line(tmp_path: Path) -> None:
+    result = run("export", "--run", "none", "-o", "x.safetensors", "--name", "x")
+    assert isinstance(result.exception, LSNetError)
+    assert not (tmp_path / "x.safetensors").exists()

@@ -21,21 +21,22 @@ if TYPE_CHECKING:
 
     from google.protobuf.descriptor import FileDescriptor
     from google.protobuf.message import Message
+    from mcap.records import Attachment, Channel, Schema
 
     from inspect_pipeline.attitude import Quaternion
 
 
 @contextmanager
-def new_recording(target: Path) -> Iterator[RecordingAuthor]:
+def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
     """Write a recording to `target`, which must not exist. Complete on a clean exit, removed on an exception.
 
-    Raises OSError when the target cannot be written.
+    `profile` is that of its header, such as "ros2". Raises OSError when the target cannot be written.
     """
     with target.open("xb") as file:
         # Without summary offsets: the package writes empty groups, which checkers take for errors.
         writer = Writer(file, compression=CompressionType.ZSTD, use_summary_offsets=False)
         try:
-            writer.start(profile="", library=f"lsnet-pipe {version('lsnet-pipe')}")
+            writer.start(profile=profile, library=f"lsnet-pipe {version('lsnet-pipe')}")
             yield RecordingAuthor(writer)
             writer.finish()  # type: ignore[no-untyped-call]
         except BaseException:
@@ -50,6 +51,8 @@ class RecordingAuthor:
         self._writer = writer
         self._schema_ids: dict[str, int] = {}
         self._channel_ids: dict[str, int] = {}
+        self._copied_schema_ids: dict[tuple[str, str, bytes], int] = {}
+        self._copied_channel_ids: dict[tuple[str, str, int], int] = {}
 
     def write_image(self, topic: str, time_ns: int, frame_id: str, data: bytes, image_format: str) -> None:
         """Append an encoded image as foxglove.CompressedImage; `image_format` is "jpeg", "png" or "webp"."""
@@ -124,6 +127,32 @@ class RecordingAuthor:
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
         """Append a Metadata record."""
         self._writer.add_metadata(name, dict(metadata))
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Append an attachment of another recording."""
+        self._writer.add_attachment(
+            attachment.create_time,
+            attachment.log_time,
+            attachment.name,
+            attachment.media_type,
+            attachment.data,
+        )
+
+    def copy_message(
+        self, channel: Channel, schema: Schema | None, log_time_ns: int, publish_time_ns: int, data: bytes
+    ) -> None:
+        """Append a message of another recording to the channel of the same topic, encoding and schema."""
+        schema_id = self._copied_schema_id(schema) if schema else 0
+        key = (channel.topic, channel.message_encoding, schema_id)
+        if key not in self._copied_channel_ids:
+            self._copied_channel_ids[key] = self._writer.register_channel(*key, channel.metadata)
+        self._writer.add_message(self._copied_channel_ids[key], log_time_ns, data, publish_time_ns)
+
+    def _copied_schema_id(self, schema: Schema) -> int:
+        key = (schema.name, schema.encoding, schema.data)
+        if key not in self._copied_schema_ids:
+            self._copied_schema_ids[key] = self._writer.register_schema(*key)
+        return self._copied_schema_ids[key]
 
     def _write(self, topic: str, time_ns: int, message: Message) -> None:
         if topic not in self._channel_ids:

@@ -1,6 +1,6 @@
-"""Recordings made of what drones give: a folder of JPEGs, or a video with its subtitles.
+"""Recordings made of what drones give: a folder of JPEGs, a video with its subtitles, a recording in parts.
 
-Images and video are taken as they are, nothing is encoded again.
+Images, video and messages are taken as they are, nothing is encoded again.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from inspect_pipeline.attitude import to_enu
 from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import OutputError, RecordingError
 from inspect_pipeline.exif import PhotographTags, read_tags
+from inspect_pipeline.parts import find_parts, join_parts
 from inspect_pipeline.srt import SubtitleBlock, parse_srt
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import av
@@ -39,16 +40,14 @@ _ANNEX_B = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
 
 @dataclass(frozen=True, slots=True)
 class PackResult:
-    """What a recording was made of; `skipped` are photographs that do not say when they were taken."""
+    """What a recording was made of: numbers by what they count, and a phrase for each thing left out."""
 
-    n_images: int
-    n_positions: int
-    n_attitudes: int
-    skipped: tuple[Path, ...] = ()
+    counts: Mapping[str, int]
+    warnings: tuple[str, ...] = ()
 
 
 def pack(source: Path, target: Path) -> PackResult:
-    """Make a recording of a folder of JPEGs, or of a video with its subtitles beside it.
+    """Make a recording of a folder of JPEGs or of a recording's parts, or of a video with its subtitles.
 
     Raises RecordingError when the source cannot be used, OutputError when the target cannot be written.
     """
@@ -57,7 +56,12 @@ def pack(source: Path, target: Path) -> PackResult:
     if not source.exists():
         raise RecordingError(source, "there is no such file or folder", "check the name")
     try:
-        return pack_photographs(source, target) if source.is_dir() else pack_video(source, target)
+        if not source.is_dir():
+            return pack_video(source, target)
+        if parts := find_parts(source):
+            n_messages, losses = join_parts(parts, target)
+            return PackResult({"parts": len(parts), "messages": n_messages}, tuple(losses))
+        return pack_photographs(source, target)
     except OSError as error:
         raise OutputError(target, f"it cannot be made ({error.strerror})", "check rights and disk") from error
 
@@ -71,7 +75,9 @@ def pack_photographs(folder: Path, target: Path) -> PackResult:
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in {".jpg", ".jpeg"})
     tags_by_path = {path: tags for path in paths if (tags := read_tags(path)) and tags.clock}
     if not tags_by_path:
-        raise RecordingError(folder, "it has no JPEG that says when it was taken", "name a folder with EXIF")
+        raise RecordingError(
+            folder, "it has no MCAP file, and no JPEG that says when it was taken", "name another folder"
+        )
     zone = _zone(list(tags_by_path.values()))
     shots = sorted((_utc_ns(tags, zone), path) for path, tags in tags_by_path.items())
     before_ns = 0
@@ -80,11 +86,14 @@ def pack_photographs(folder: Path, target: Path) -> PackResult:
             before_ns = time_ns = max(clock_ns, before_ns + _STEP_NS)
             _write_photograph(author, time_ns, path, tags_by_path[path])
     found = tags_by_path.values()
+    counts = {
+        "images": len(shots),
+        "positions": sum(tags.position is not None for tags in found),
+        "attitudes": sum(tags.gimbal is not None for tags in found),
+    }
+    without = (path for path in paths if path not in tags_by_path)
     return PackResult(
-        n_images=len(shots),
-        n_positions=sum(tags.position is not None for tags in found),
-        n_attitudes=sum(tags.gimbal is not None for tags in found),
-        skipped=tuple(path for path in paths if path not in tags_by_path),
+        counts, tuple(f"{path} does not say when it was taken, it is left out" for path in without)
     )
 
 
@@ -165,9 +174,11 @@ def pack_video(video: Path, target: Path) -> PackResult:
     except av.FFmpegError as error:
         raise RecordingError(video, "it is not a video that can be read", "name an MP4 file") from error
     return PackResult(
-        n_images=n_images,
-        n_positions=sum(block.position is not None for block in blocks),
-        n_attitudes=sum(block.gimbal is not None for block in blocks),
+        {
+            "images": n_images,
+            "positions": sum(block.position is not None for block in blocks),
+            "attitudes": sum(block.gimbal is not None for block in blocks),
+        }
     )
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from mcap.records import Metadata
+from mcap.records import Attachment, Metadata
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording_cameras import find_cameras, select_cameras
@@ -27,7 +27,7 @@ from inspect_pipeline.recording_layout import Layout, count_messages, read_layou
 from inspect_pipeline.recording_summary import load_record
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from inspect_pipeline.types import CameraChannel
@@ -133,6 +133,15 @@ class Recording:
         """The schema of a channel as the file has it; empty when it has none."""
         schema = self.layout.schemas.get(self.layout.channels[channel_id].schema_id)
         return schema.data if schema else b""
+
+    def iter_attachments(self) -> Iterator[Attachment]:
+        """The Attachment records; one that cannot be read is lost. Raises RecordingError."""
+        with reading(self.path) as file:
+            for index in self.layout.attachments:
+                try:
+                    yield load_record(file, Attachment, index.offset)
+                except Damage as damage:
+                    self._lose(f"{damage} at byte {index.offset:,}")
 
     def message_counts(self) -> Counter[int]:
         """Messages per channel id, read from the chunks where nothing else tells. Raises RecordingError."""

@@ -46,7 +46,12 @@ class Damage(Exception):  # noqa: N818 - a fact about the file, turned into Reco
 def reading(path: Path) -> Iterator[RecordingFile]:
     """Open a recording for reading. Whatever goes wrong with it inside is raised as RecordingError."""
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            raise RecordingError(
+                path, "it is a folder, not a file", f"make one recording of it: lsnet-pipe pack {path} FILE"
+            )
+        if not stat.S_ISREG(mode):
             raise RecordingError(path, "it is not a file", "name an MCAP file")
         with RecordingFile(path) as file:
             yield file

@@ -10,18 +10,22 @@ import typer
 
 def pack(
     source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="A folder of JPEGs, or a video with its SRT beside it.")
+        Path,
+        typer.Argument(
+            metavar="SOURCE", help="A folder of JPEGs, a video, or the folder of a split recording."
+        ),
     ],
     target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to make (MCAP).")],
 ) -> None:
-    """Make a recording of a drone's photographs or video, with the positions and gimbal angles they carry.
+    """Make a recording of a drone's photographs, of its video and SRT, or of the parts of a split one.
+
+    Positions and gimbal angles are taken from EXIF and XMP, and from the SRT file beside the video.
 
     Example: lsnet-pipe pack DCIM/100MEDIA flight.mcap
     """
     from inspect_pipeline import pack as packing
 
     result = packing.pack(source, target)
-    for path in result.skipped:
-        typer.echo(f"warning: {path} does not say when it was taken, it is left out", err=True)
-    counts = f"{result.n_images} images, {result.n_positions} positions, {result.n_attitudes} attitudes"
-    typer.echo(f"{target}: {counts}")
+    for warning in result.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(f"{target}: {', '.join(f'{count} {what}' for what, count in result.counts.items())}")

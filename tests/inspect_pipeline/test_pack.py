@@ -88,7 +88,10 @@ def test_photographs_become_a_recording(tmp_path: Path) -> None:
     (folder / "notes.txt").write_text("weather: fine")
     target = tmp_path / "a.mcap"
 
-    assert pack(folder, target) == PackResult(3, 2, 1, (undated, folder / "e.jpg"))
+    result = pack(folder, target)
+    assert result.counts == {"images": 3, "positions": 2, "attitudes": 1}
+    reason = "does not say when it was taken, it is left out"
+    assert result.warnings == (f"{undated} {reason}", f"{folder / 'e.jpg'} {reason}")
     recording = open_recording(target)
     frames = list(iter_frames(recording))
     start_ns = utc_ns("2024-05-01T12:00:02")
@@ -136,7 +139,7 @@ def test_a_video_and_its_subtitles_become_a_recording(tmp_path: Path) -> None:
     (tmp_path / "DJI_1.SRT").write_text(SRT)
     target = tmp_path / "a.mcap"
 
-    assert pack(tmp_path / "DJI_1.MP4", target) == PackResult(30, 3, 1)
+    assert pack(tmp_path / "DJI_1.MP4", target) == PackResult({"images": 30, "positions": 3, "attitudes": 1})
     recording = open_recording(target)
     frames, track = list(iter_frames(recording)), read_poses(recording)
     start_ns = utc_ns("2024-05-01T10:00:00.250")
@@ -197,7 +200,7 @@ def test_real_photographs(
     result = pack(data_dir / "flights" / name, tmp_path / "a.mcap")
     recording = open_recording(tmp_path / "a.mcap")
 
-    assert result == PackResult(count, count, 0)
+    assert result == PackResult({"images": count, "positions": count, "attitudes": 0})
     assert recording.start_ns == utc_ns(start)
     latitudes_deg = read_poses(recording).positions.values[:, 0]
     assert np.abs(latitudes_deg - latitude_deg).max() < 0.01

@@ -245,7 +245,7 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path, content: by
 def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file"):
         open_recording(tmp_path / "missing.mcap")
-    with pytest.raises(RecordingError, match="not a file"):
+    with pytest.raises(RecordingError, match="not a file; make one recording of it: lsnet-pipe pack"):
         open_recording(tmp_path)
 
 

@@ -39,8 +39,13 @@ class ProcessOptions:
 
 def start_run(detector: Detector, options: ProcessOptions) -> RunRecord:
     """The record of a run that begins now. Its hash is the same whenever its results would be."""
+    return start_described_run(detector.describe(), options)
+
+
+def start_described_run(description: Mapping[str, str | int | float], options: ProcessOptions) -> RunRecord:
+    """`start_run` with a detector that is in another process, by what it says about itself."""
     config: dict[str, Any] = {
-        "detector": detector.describe(),
+        "detector": dict(description),
         "topics": sorted(options.topics) if options.topics is not None else None,
         "every": options.every,
         "start_ns": options.start_ns,

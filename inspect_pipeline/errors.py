@@ -5,7 +5,9 @@ InspectError
 ├── StoreError           a store that cannot be read or written
 │   ├── StoreBusyError       exit 11
 │   └── StoreVersionError    exit 12
+├── InboxError           a folder or file of the inbox that is not there
 ├── OutputError          a file that cannot be written where it was asked for
+├── HookError            a command of --on-finish that fails
 ├── QueryError           an SQL statement that is refused or fails
 └── DetectorError        weights, images or training data that cannot be used
 """
@@ -41,6 +43,10 @@ class StoreError(InspectError):
         super().__init__(f"{path}: {problem}; {remedy}")
         self.path, self.problem, self.remedy = path, problem, remedy
 
+    def __reduce__(self) -> tuple[type[StoreError], tuple[Path, str, str]]:
+        """Workers send it to their parent, and what pickle makes of an exception's text fits no __init__."""
+        return type(self), (self.path, self.problem, self.remedy)
+
 
 class StoreBusyError(StoreError):
     """Raised when another process holds the store."""
@@ -54,12 +60,28 @@ class StoreVersionError(StoreError):
     exit_code = 12
 
 
+class InboxError(InspectError):
+    """Raised when there is no such folder or file to look into: `path: problem; remedy`."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(f"{path}: {problem}; {remedy}")
+        self.path, self.problem, self.remedy = path, problem, remedy
+
+
 class OutputError(InspectError):
     """Raised when a file cannot be written: `path: problem; remedy`."""
 
     def __init__(self, path: Path, problem: str, remedy: str) -> None:
         super().__init__(f"{path}: {problem}; {remedy}")
         self.path, self.problem, self.remedy = path, problem, remedy
+
+
+class HookError(InspectError):
+    """Raised when the command of --on-finish fails."""
+
+    def __init__(self, command: str, problem: str) -> None:
+        super().__init__(f"{command}: the command of --on-finish failed ({problem}); the batch had ended")
+        self.command, self.problem = command, problem
 
 
 class QueryError(InspectError):

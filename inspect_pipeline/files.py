@@ -63,6 +63,15 @@ def fsync_tree(folder: Path) -> None:
     fsync_path(folder)
 
 
+def write_whole(path: Path, text: str) -> None:
+    """Make a text file appear in place of an older one, whole or not at all; raises OSError."""
+    following = path.with_name(f".{path.name}.next")
+    following.write_text(text, encoding="utf-8")
+    fsync_path(following)
+    following.replace(path)
+    fsync_path(path.parent)
+
+
 def move_folder_into_place(new: Path, final: Path, aside: Path) -> None:
     """Make `new` appear as `final`, in one step, whether `final` exists or not.
 

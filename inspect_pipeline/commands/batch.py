@@ -1,0 +1,158 @@
+"""`lsnet-pipe batch`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from inspect_pipeline.commands.batch_log import LogFormat, open_log, printable
+from inspect_pipeline.commands.options import (
+    MinScoreOption,
+    ScaleOption,
+    StoreOption,
+    WeightsOption,
+    parse_time_ns,
+)
+from inspect_pipeline.commands.options_file import ConfigOption
+
+if TYPE_CHECKING:
+    from inspect_pipeline.batch import BatchOptions, Report
+    from inspect_pipeline.runs import RunSummary
+    from inspect_pipeline.store import Store
+    from inspect_pipeline.worker import Job
+
+
+def _parse_tag(text: str) -> str:
+    key, equals, value = text.partition("=")
+    if not (key and equals and value):
+        raise typer.BadParameter(f"{text!r} is not like line=L12")
+    return text
+
+
+def batch(
+    inbox: Annotated[
+        list[str], typer.Argument(metavar="INBOX...", help="Folders, recordings, or globs in quotes.")
+    ],
+    store: StoreOption = None,
+    config: ConfigOption = None,  # noqa: ARG001 - read by its callback
+    since: Annotated[
+        int | None,
+        typer.Option(parser=parse_time_ns, metavar="TIME", help="Only files changed since, ns or ISO 8601."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be processed.")] = False,
+    limit: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Process at most N recordings.")
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Recordings at a time; each keeps several cores busy.")
+    ] = 1,
+    timeout: Annotated[
+        float, typer.Option(min=0.1, metavar="SECONDS", help="For one attempt at a recording.")
+    ] = 3600.0,
+    max_attempts: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Before a recording that kills its worker is given up.")
+    ] = 3,
+    settle: Annotated[
+        float, typer.Option(min=0.0, metavar="SECONDS", help="Unchanged for so long, a file is written.")
+    ] = 10.0,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TOPIC", help="A camera topic, may be repeated; else all cameras."),
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, metavar="N", help="Look at every N-th frame.")] = 1,
+    strict: Annotated[
+        bool, typer.Option(help="Refuse a damaged recording, or process what can be read of it.")
+    ] = True,
+    weights: WeightsOption = "fast",
+    scale: ScaleOption = None,
+    min_score: MinScoreOption = None,
+    tag: Annotated[
+        list[str] | None,
+        typer.Option(parser=_parse_tag, metavar="KEY=VALUE", help="Kept with the run, may be repeated."),
+    ] = None,
+    metrics: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write figures for Prometheus, as in lsnet.prom.")
+    ] = None,
+    on_finish: Annotated[
+        str | None, typer.Option(metavar="CMD", help="Run this with the summary in JSON on its stdin.")
+    ] = None,
+    log_format: Annotated[
+        LogFormat, typer.Option(help="How to tell what happens, on stderr.")
+    ] = LogFormat.text,
+) -> None:
+    """Process every new recording of the inboxes; run it every night, and again after whatever stopped it.
+
+    Example: lsnet-pipe batch /data/inbox --store /data/inspections --tag line=L12
+    """
+    from inspect_pipeline.batch import BatchOptions
+    from inspect_pipeline.config import ProcessOptions
+    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.worker import Job, LoadDetector
+
+    the_store = Store(store_path(store))
+    process_options = ProcessOptions(tuple(topic) if topic else None, every, strict=strict)
+    job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score))
+    options = BatchOptions(
+        inboxes=tuple(inbox),
+        since_ns=since or 0,
+        limit=limit,
+        n_workers=jobs,
+        timeout_s=timeout,
+        max_attempts=max_attempts,
+        settle_s=settle,
+        tags=dict(item.split("=", 1) for item in tag or ()),
+    )
+    with open_log(log_format) as report:
+        if dry_run:
+            _print_plan(the_store, job, options, report)
+            return
+        exit_code = _run(the_store, job, options, report, metrics=metrics, on_finish=on_finish)
+    raise typer.Exit(exit_code)
+
+
+def _print_plan(store: Store, job: Job, options: BatchOptions, report: Report) -> None:
+    from inspect_pipeline.batch import plan_batch
+
+    for candidate in plan_batch(store, job, options, report):
+        typer.echo(printable(os.fspath(candidate.path)))
+
+
+def _run(
+    store: Store,
+    job: Job,
+    options: BatchOptions,
+    report: Report,
+    *,
+    metrics: Path | None,
+    on_finish: str | None,
+) -> int:
+    """Run a batch and tell everybody who asked; the exit code."""
+    from inspect_pipeline.batch import run_batch
+    from inspect_pipeline.runs import notify
+    from inspect_pipeline.stopping import stop_on_signals
+
+    with stop_on_signals() as stop:
+        summary = run_batch(store, job, options, report, stop)
+    _print_summary(summary)
+    if metrics:
+        from inspect_pipeline.metrics import write_metrics
+        from inspect_pipeline.quarantine import Quarantine
+        from inspect_pipeline.runs import load_runs
+
+        write_metrics(metrics, load_runs(store), len(Quarantine(store).notes()))
+    if on_finish:
+        notify(on_finish, summary)
+    return summary.exit_code
+
+
+def _print_summary(summary: RunSummary) -> None:
+    counts = summary.counts
+    n_given_up = counts.n_quarantined + counts.n_in_quarantine
+    typer.echo(
+        f"{counts.n_found} recordings: {counts.n_processed} processed, {counts.n_skipped} done before,"
+        f" {n_given_up} in quarantine, {counts.n_waiting} still being written, {counts.n_left} left;"
+        f" {counts.n_frames} frames, {counts.n_segments} segments, {summary.duration_s:.1f} s"
+    )

@@ -1,0 +1,124 @@
+"""What lies in the inbox: recordings in folders, by glob or by name, and whether they are written to the end.
+
+Nothing here opens a recording further than its last bytes, and nothing follows a link out of the inbox.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import stat
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from inspect_pipeline.errors import InboxError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+_MAGIC = b"\x89MCAP0\r\n"  # the first and the last bytes of a whole recording
+_CUT_OFF_AFTER_S = 3600.0  # a recorder that is silent for so long has died
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A recording of the inbox as it was found: path absolute, size in bytes, mtime in ns since 1970."""
+
+    path: Path
+    size_bytes: int
+    mtime_ns: int
+    seen_at: float = field(compare=False)  # by time.monotonic, s
+
+    @classmethod
+    def at(cls, path: Path) -> Candidate | None:
+        """The recording at a path, None where there is no file (any more)."""
+        try:
+            found = path.stat()
+        except OSError:
+            return None
+        if not stat.S_ISREG(found.st_mode):
+            return None
+        return cls(path, found.st_size, found.st_mtime_ns, time.monotonic())
+
+    def is_written(self, settle_s: float) -> bool:
+        """Whether nobody writes it any more: it has rested for `settle_s`, and ends as a recording does.
+
+        Rest counts from the mtime or, for clocks that disagree, from when it was found. One without an end is
+        given an hour; after that it is cut off, which the reader has words for.
+        """
+        if Candidate.at(self.path) != self:
+            return False
+        age_s = time.time() - self.mtime_ns / 1e9
+        has_rested = age_s >= settle_s or time.monotonic() - self.seen_at >= settle_s
+        return has_rested and (_has_end(self.path) or age_s >= _CUT_OFF_AFTER_S)
+
+
+@dataclass(frozen=True, slots=True)
+class Discovery:
+    """What was found: recordings, oldest first, and the links that lead out of the inbox, left alone."""
+
+    candidates: tuple[Candidate, ...]
+    links_out: tuple[Path, ...]
+
+
+def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None = None) -> Discovery:
+    """The recordings in folders, files and glob patterns, each once, changed at or after `since_ns`.
+
+    Nothing below the folder `without` is looked at. Raises InboxError for a folder or file that is not there.
+    """
+    candidates: dict[Path, Candidate] = {}
+    links_out = []
+    for inbox in inboxes:
+        for path, root in _paths_of(inbox, without):
+            if root is not None and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root)):
+                links_out.append(path)
+            elif (candidate := Candidate.at(path)) and candidate.mtime_ns >= since_ns:
+                candidates[path] = candidate
+    ordered = sorted(candidates.values(), key=lambda found: (found.mtime_ns, os.fsencode(found.path)))
+    return Discovery(tuple(ordered), tuple(links_out))
+
+
+def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, Path | None]]:
+    """Paths with the folder they must not lead out of; None for a file that was named by hand."""
+    path = Path(inbox).absolute()
+    if path.is_dir():
+        yield from ((found, path) for found in _walk(path, without))
+    elif path.exists():
+        yield path, None
+    elif glob.has_magic(inbox):
+        root = _fixed_part(path)
+        for match in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207 - absolute
+            found = Path(match)
+            below = _walk(found, without) if found.is_dir() and not found.is_symlink() else [found]
+            yield from ((each, root) for each in below if _is_recording(each.name))
+    else:
+        raise InboxError(
+            path, "there is no such folder or file", "check the name, and that its disk is mounted"
+        )
+
+
+def _walk(folder: Path, without: Path | None) -> Iterator[Path]:
+    """The recordings below a folder; linked folders are not entered."""
+    for parent, names, files in os.walk(folder):
+        names[:] = sorted(name for name in names if Path(parent, name) != without)
+        yield from (Path(parent, name) for name in files if _is_recording(name))
+
+
+def _is_recording(name: str) -> bool:
+    return name.lower().endswith(".mcap")
+
+
+def _fixed_part(pattern: Path) -> Path:
+    """The folder in front of the first wildcard."""
+    return next(parent for parent in pattern.parents if not glob.has_magic(str(parent)))
+
+
+def _has_end(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(_MAGIC), os.SEEK_END)
+            return file.read() == _MAGIC
+    except OSError:  # gone, too short or forbidden
+        return False

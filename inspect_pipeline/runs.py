@@ -1,0 +1,127 @@
+"""What a batch did: runs/<run_id>.json in the store, and the same for people's own tools.
+
+summary.json is the summary of the latest batch.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+from inspect_pipeline.errors import HookError
+from inspect_pipeline.files import store_errors, write_whole
+from inspect_pipeline.flight import RunRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from inspect_pipeline.store import Store
+
+
+_HOOK_TIMEOUT_S = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Recordings by what became of them, and what was found in those that were processed.
+
+    n_found: in the inbox; n_processed: new flights, of which n_recovered from damaged files; n_skipped:
+    done before; n_quarantined: given up in this run; n_in_quarantine: given up earlier and unchanged;
+    n_waiting: still being written; n_left: untouched, because of the limit, a stop or an error.
+    """
+
+    n_found: int = 0
+    n_processed: int = 0
+    n_recovered: int = 0
+    n_skipped: int = 0
+    n_quarantined: int = 0
+    n_in_quarantine: int = 0
+    n_waiting: int = 0
+    n_left: int = 0
+    n_frames: int = 0
+    n_bad_frames: int = 0
+    n_segments: int = 0
+
+    def plus(self, **more: int) -> Counts:
+        """The counts with some of them raised."""
+        return replace(self, **{name: getattr(self, name) + n for name, n in more.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """A batch that has ended. finished_at is in UTC; error is the line told when it failed, else None."""
+
+    run: RunRecord
+    tags: Mapping[str, str]
+    finished_at: datetime
+    exit_code: int
+    error: str | None
+    counts: Counts
+
+    @property
+    def duration_s(self) -> float:
+        """From start to end."""
+        return (self.finished_at - self.run.started_at).total_seconds()
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of summary.json: plain JSON values, times as ISO 8601 in UTC."""
+        run = asdict(self.run) | {"started_at": self.run.started_at.isoformat()}
+        ending = {"finished_at": self.finished_at.isoformat(), "duration_s": round(self.duration_s, 3)}
+        result = {"exit_code": self.exit_code, "error": self.error}
+        return {**run, **ending, **result, "tags": dict(self.tags), "counts": asdict(self.counts)}
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> RunSummary:
+        """The summary that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
+        run = {name: value[name] for name in RunRecord.__dataclass_fields__}
+        run["started_at"] = datetime.fromisoformat(run["started_at"])
+        return cls(
+            run=RunRecord(**run),
+            tags=value["tags"],
+            finished_at=datetime.fromisoformat(value["finished_at"]),
+            exit_code=value["exit_code"],
+            error=value["error"],
+            counts=Counts(**value["counts"]),
+        )
+
+
+def save_run(store: Store, summary: RunSummary) -> None:
+    """Keep a summary, as that of its run and as the latest; raises StoreError."""
+    folder = store.root / "runs"
+    text = json.dumps(summary.to_json(), indent=1) + "\n"
+    with store_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / f"{summary.run.run_id}.json", text)
+        write_whole(store.root / "summary.json", text)
+
+
+def load_runs(store: Store) -> list[RunSummary]:
+    """The summaries of all batches, oldest first; unreadable files are passed over. Raises StoreError."""
+    summaries = []
+    with store_errors(store.root):
+        for path in (store.root / "runs").glob("*.json"):
+            try:
+                summaries.append(RunSummary.from_json(json.loads(path.read_bytes())))
+            except (KeyError, TypeError, ValueError):
+                continue
+    return sorted(summaries, key=lambda summary: summary.run.started_at)
+
+
+def notify(command: str, summary: RunSummary) -> None:
+    """Run a command, split as a shell does, with the summary in JSON on its stdin; raises HookError."""
+    try:
+        subprocess.run(
+            shlex.split(command),
+            input=json.dumps(summary.to_json()),
+            text=True,
+            stdout=sys.stderr,
+            timeout=_HOOK_TIMEOUT_S,
+            check=True,
+        )
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        raise HookError(command, str(error)) from error

@@ -16,6 +16,7 @@ from inspect_pipeline.commands import (
     info,
     model,
     overlay,
+    pack,
     process,
     query,
     simulate,
@@ -39,6 +40,7 @@ app.command()(query.query)
 app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)
+app.command()(pack.pack)
 app.command()(simulate.simulate)
 app.command()(doctor.doctor)
 app.add_typer(index.app, name="index")

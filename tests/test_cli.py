@@ -29,6 +29,7 @@ HELP = (
     "info",
     "detect",
     "overlay",
+    "pack",
     "simulate",
     "doctor",
     "index rebuild",

@@ -84,6 +84,9 @@ def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path) -> 
         if name == "overlay":
             (row,) = json.loads(run("query", "SELECT min(flight_id) AS id FROM flights", "--format", "json"))
             arguments = [row["id"] if a == "FLIGHT" else a for a in arguments]
+        if name == "pack":
+            (folder / arguments[0]).mkdir(parents=True)
+            shutil.copy(folder / "demo.mcap", folder / arguments[0] / "demo_0.mcap")
         run(name, *arguments)
     assert (folder / "segments.parquet").exists()
     assert (folder / "frame.png").exists()

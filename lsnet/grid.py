@@ -82,6 +82,7 @@ class GridCoder:
             chords = _chords(np.asarray(points, float), boxes)
             lengths = np.hypot(chords[..., 2] - chords[..., 0], chords[..., 3] - chords[..., 1])
             weights = lengths - OFF_CENTRE_PENALTY * _off_centre(chords, corners + self.cell_px / 2)
+            weights += (lengths >= self.min_chord * self.cell_px) * 2 * self.cell_px  # before any short one
             is_better = (lengths > 0) & (weights > best)
             best = np.where(is_better, weights, best)
             longest = np.maximum(longest, lengths)

@@ -1,6 +1,7 @@
 """What is mistaken for cables and is none: branches, trunks, kerbs, joints, fences, markings, furrows.
 
-Each function paints one kind onto a float32 (H, W, 3) RGB image in place; none of it is ever labelled.
+Each function paints one kind onto a uint8 (H, W, 3) RGB image in place; none of it is ever labelled.
+Strokes are anti-aliased, which OpenCV does on integer images only: jagged edges would give clutter away.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Image = NDArray[np.float32]
+    Image = NDArray[np.uint8]
     Rng = np.random.Generator
 
 SHIFT = 4  # fractional bits of the coordinates given to OpenCV
@@ -27,6 +28,10 @@ def _stroke(image: Image, points: NDArray[np.floating], rgb: NDArray[np.floating
     fixed = np.round((np.asarray(points) - 0.5) * SCALE).astype(np.int32)
     thickness = max(1, round(width_px))
     cv2.polylines(image, [fixed], False, rgb.tolist(), thickness, cv2.LINE_AA, SHIFT)
+
+
+def _set(image: Image, values: NDArray[np.floating]) -> None:
+    image[:] = np.clip(np.round(values), 0, 255)
 
 
 def _direction(angle: float) -> NDArray[np.float64]:
@@ -152,7 +157,7 @@ def half_plane(image: Image, rng: Rng, ground: Image) -> None:
     mask = np.zeros((height, width), np.uint8)
     cv2.fillPoly(mask, [np.round(polygon * SCALE).astype(np.int32)], 255, cv2.LINE_AA, SHIFT)
     alpha = (mask.astype(np.float32) / 255)[..., None]
-    image += alpha * (ground - image)
+    _set(image, image + alpha * (ground - image.astype(np.float32)))
     if rng.random() < 0.7:
         _kerb(image, rng, border, across)
 
@@ -204,8 +209,8 @@ def tile_grid(image: Image, rng: Rng) -> None:
     for j in range(counts[1]):
         y = -half + j * step[1]
         _stroke(layer, place(np.array([[-half, y], [half, y]])), rgb, joint)
-    opacity = np.float32(rng.uniform(0.35, 1.0))
-    image += opacity * (layer - image)
+    opacity = rng.uniform(0.35, 1.0)
+    cv2.addWeighted(layer, opacity, image, 1 - opacity, 0, dst=image)
 
 
 def _perspective(image: Image, rng: Rng) -> Callable[[NDArray[np.floating]], NDArray[np.float64]]:
@@ -267,7 +272,7 @@ def furrows(image: Image, rng: Rng) -> None:
     rows = np.sin(phase).astype(np.float32)
     if rng.random() < 0.5:
         rows = np.sign(rows) * np.abs(rows) ** np.float32(0.4)
-    image += (rows * np.float32(rng.uniform(6, 40)))[..., None]
+    _set(image, image + (rows * np.float32(rng.uniform(6, 40)))[..., None])
 
 
 def cracks(image: Image, rng: Rng) -> None:
@@ -291,7 +296,7 @@ def foliage(image: Image, rng: Rng) -> None:
     for place, tone, axis, angle in zip(places, tones, axes, angles, strict=True):
         centre_fixed = (int(place[0] * SCALE), int(place[1] * SCALE))
         axes_fixed = (int(axis[0] * SCALE), int(axis[1] * SCALE))
-        cv2.ellipse(image, centre_fixed, axes_fixed, angle, 0, 360, tone.tolist(), -1, cv2.LINE_8, SHIFT)
+        cv2.ellipse(image, centre_fixed, axes_fixed, angle, 0, 360, tone.tolist(), -1, cv2.LINE_AA, SHIFT)
 
 
 # In the order of painting, from the ground up; how likely each kind is to be painted (again).

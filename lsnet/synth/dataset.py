@@ -40,9 +40,13 @@ class SyntheticScenes:
 
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self.seed, index])
-        image = self.pool.sample(rng, self.size)
-        add_clutter(image, rng, lambda: self.pool.sample(rng, self.size))
-        np.clip(image, 0, 255, out=image)
+        scene = _to_uint8(self.pool.sample(rng, self.size))
+        add_clutter(scene, rng, lambda: _to_uint8(self.pool.sample(rng, self.size)))
+        image = scene.astype(np.float32)
         lines = add_cables(image, rng) if rng.random() >= EMPTY_SHARE else []
         image, lines = augment(image, lines, rng)
-        return Sample(np.clip(np.round(image), 0, 255).astype(np.uint8), lines)
+        return Sample(_to_uint8(image), lines)
+
+
+def _to_uint8(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)

@@ -153,13 +153,21 @@ def half_plane(image: Image, rng: Rng, ground: Image) -> None:
     bend = rng.normal(0, 0.0006) if rng.random() < 0.3 else 0.0
     t = np.linspace(-1.5, 1.5, 25)[:, None] * max(height, width)
     border = centre + along * t + across * bend * t**2
-    polygon = np.vstack([border, (border + across * 3 * max(height, width))[::-1]])
+    ragged = border
+    if rng.random() < 0.5:  # plants that hang over the border
+        steps = np.linspace(0, 24, 400)
+        ragged = np.stack([np.interp(steps, np.arange(25), border[:, axis]) for axis in (0, 1)], axis=1)
+        ragged = ragged + across * (rng.normal(0, 1, (400, 1)) * rng.uniform(1, 8) + rng.uniform(0, 12))
+    polygon = np.vstack([ragged, (border + across * 3 * max(height, width))[::-1]])
     mask = np.zeros((height, width), np.uint8)
     cv2.fillPoly(mask, [np.round(polygon * SCALE).astype(np.int32)], 255, cv2.LINE_AA, SHIFT)
+    if rng.random() < 0.8:
+        _kerb(image, rng, border, across if rng.random() < 0.5 else -across)
     alpha = (mask.astype(np.float32) / 255)[..., None]
+    if rng.random() < 0.4:  # and the shadow they throw
+        shade = cv2.GaussianBlur(alpha, (0, 0), rng.uniform(1, 8))[..., None]
+        _set(image, image * (1 - np.float32(rng.uniform(0.2, 0.7)) * shade))
     _set(image, image + alpha * (ground - image.astype(np.float32)))
-    if rng.random() < 0.7:
-        _kerb(image, rng, border, across)
 
 
 def _kerb(image: Image, rng: Rng, border: NDArray[np.floating], across: NDArray[np.floating]) -> None:
@@ -287,7 +295,7 @@ def cracks(image: Image, rng: Rng) -> None:
 def foliage(image: Image, rng: Rng) -> None:
     """Leaves: many small blobs of one hue, lit and in shade, over a patch."""
     height, width = image.shape[:2]
-    count, size = int(rng.integers(150, 900)), rng.uniform(1.5, 7)
+    count, size = int(rng.choice([rng.integers(150, 900), 2500], p=[0.8, 0.2])), rng.uniform(1.5, 7)
     hue = np.array([rng.uniform(50, 150), rng.uniform(60, 160), rng.uniform(20, 90)])
     centre, spread = _anywhere(image, rng, 0), rng.uniform(0.15, 0.8) * max(height, width)
     places = centre + rng.normal(0, spread / 2, (count, 2))
@@ -313,7 +321,7 @@ KINDS: dict[Callable[[Image, Rng], None], float] = {
     branches: 0.25,
     shrub: 0.42,
 }
-BORDER_PROBABILITY = 0.4  # of another ground, again and again
+BORDER_PROBABILITY = 0.5  # of another ground, again and again
 
 
 def add_clutter(image: Image, rng: Rng, ground: Callable[[], Image]) -> None:

@@ -37,9 +37,34 @@ def _describe(recording: Recording) -> Iterator[str]:
     for channel in recording.channels:
         schema = f"{channel.schema_name or 'no schema'}, {channel.message_encoding or 'no encoding'}"
         yield f"  {channel.topic}: {counts[channel.channel_id]:,} messages ({schema})"
+    yield from _describe_poses(recording)
+    for topic, reason in recording.refusals.items():
+        yield f"no camera {topic}: {reason}"
+    for warning in recording.warnings:
+        yield f"odd       {warning}"
     for loss in recording.losses:
         yield f"damaged   {loss}"
     yield f"process   {_intention(recording)}"
+
+
+def _describe_poses(recording: Recording) -> Iterator[str]:
+    from inspect_pipeline.calibrations import read_intrinsics
+    from inspect_pipeline.poses import read_poses
+
+    track = read_poses(recording)
+    counts = {
+        "positions": len(track.positions.times_ns),
+        "attitudes of the camera": len(track.camera.times_ns),
+        "attitudes of the vehicle": len(track.vehicle.times_ns),
+    }
+    if any(counts.values()):
+        yield f"poses     {', '.join(f'{count:,} {what}' for what, count in counts.items() if count)}"
+    for camera in recording.camera_channels:
+        lens = read_intrinsics(recording, camera)
+        if lens:
+            height, width = lens.image_size
+            fx, fy = lens.focal_px
+            yield f"lens      {camera.topic}: {width}x{height}, focal length {fx:.1f} x {fy:.1f} px"
 
 
 def _intention(recording: Recording) -> str:

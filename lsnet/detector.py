@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
+from lsnet.geometry import clip_to_boxes
 from lsnet.grid import GridCoder
 from lsnet.merge import MergeConfig, merge
 from lsnet.runtime import open_backend
@@ -124,12 +125,17 @@ class Detector:
         source_size = (image.shape[0], image.shape[1])
         scaled_size = self._scaled_size(image)
         raw = self._coder.decode(*maps, (prepared.shape[0], prepared.shape[1]), self._least_score)
-        limit = np.array([scaled_size[1], scaled_size[0]] * 2, np.float32)
-        beyond = (raw.endpoints >= limit).reshape(-1, 2, 2)  # of each endpoint, in x and in y
-        is_padding = np.any(np.all(beyond, axis=1), axis=1)
-        clipped = Segments(
-            np.minimum(raw.endpoints, limit)[~is_padding], raw.scores[~is_padding], scaled_size
-        )
+        clipped = _clipped(raw, scaled_size)
         lines = merge(clipped, self._merge_config).above(self.min_score)
         segments = clipped.above(self.min_score)
         return Detections(segments.scaled_to(source_size), lines.scaled_to(source_size))
+
+
+def _clipped(segments: Segments, image_size: tuple[int, int]) -> Segments:
+    """What of the segments lies in an image of (height, width), which is the top-left part of theirs."""
+    ends = segments.endpoints.astype(float)
+    t_in, t_out = clip_to_boxes(ends, [0, 0, image_size[1], image_size[0]])
+    keep = t_out > t_in
+    start, step = ends[keep, :2], ends[keep, 2:] - ends[keep, :2]
+    clipped = np.concatenate([start + t_in[keep, None] * step, start + t_out[keep, None] * step], axis=1)
+    return Segments(clipped.astype(np.float32), segments.scores[keep], image_size)

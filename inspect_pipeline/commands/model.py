@@ -132,11 +132,11 @@ def evaluate(
 
     Example: lsnet-pipe model eval photos/with_masks photos/without_lines
     """
-    from lsnet import Detector
+    from lsnet import Detector, load_weights
     from lsnet.evaluate import evaluate as evaluate_folder
     from lsnet.truth import images_of
 
-    own = Detector.load(weights, runtime=runtime, min_score=min_score).min_score
+    own = load_weights(weights).card.min_score if min_score is None else min_score
     detector = Detector.load(weights, runtime=runtime, scale=1.0, min_score=0.05)
     reports: list[PixelReport | ShareReport] = []
     with progress_bar("eval", sum(len(images_of(folder)[1]) for folder in folders)) as advance:

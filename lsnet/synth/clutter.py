@@ -295,7 +295,7 @@ def cracks(image: Image, rng: Rng) -> None:
 def foliage(image: Image, rng: Rng) -> None:
     """Leaves: many small blobs of one hue, lit and in shade, over a patch."""
     height, width = image.shape[:2]
-    count, size = int(rng.choice([rng.integers(150, 900), 2500], p=[0.8, 0.2])), rng.uniform(1.5, 7)
+    count, size = int(rng.choice([int(rng.integers(150, 900)), 2500], p=[0.8, 0.2])), rng.uniform(1.5, 7)
     hue = np.array([rng.uniform(50, 150), rng.uniform(60, 160), rng.uniform(20, 90)])
     centre, spread = _anywhere(image, rng, 0), rng.uniform(0.15, 0.8) * max(height, width)
     places = centre + rng.normal(0, spread / 2, (count, 2))

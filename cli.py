@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from inspect_pipeline.commands import (
+    batch,
     detect,
     doctor,
     index,
@@ -18,7 +19,10 @@ from inspect_pipeline.commands import (
     overlay,
     pack,
     process,
+    quarantine,
     query,
+    runs,
+    schedule,
     simulate,
 )
 from inspect_pipeline.errors import InspectError
@@ -36,6 +40,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command()(process.process)
+app.command()(batch.batch)
 app.command()(query.query)
 app.command()(info.info)
 app.command()(detect.detect)
@@ -43,8 +48,11 @@ app.command()(overlay.overlay)
 app.command()(pack.pack)
 app.command()(simulate.simulate)
 app.command()(doctor.doctor)
+app.command()(schedule.schedule)
+app.command()(runs.runs)
 app.add_typer(index.app, name="index")
 app.add_typer(model.app, name="model")
+app.add_typer(quarantine.app, name="quarantine")
 
 
 def _print_version(wanted: bool) -> None:

@@ -33,6 +33,10 @@ HELP = (
     "simulate",
     "doctor",
     "index rebuild",
+    "batch",
+    "quarantine retry",
+    "schedule",
+    "runs",
     "model bench",
 )
 

@@ -13,7 +13,23 @@ import pytest
 import cli
 
 HEAVY = ("torch", "openvino", "duckdb", "mcap", "cv2", "numpy", "rich", "foxglove_schemas_protobuf")
-COMMANDS = ("", "process", "query", "info", "detect", "overlay", "simulate", "doctor", "index", "model")
+COMMANDS = (
+    "",
+    "process",
+    "query",
+    "info",
+    "detect",
+    "overlay",
+    "pack",
+    "simulate",
+    "doctor",
+    "index",
+    "model",
+    "batch",
+    "quarantine",
+    "schedule",
+    "runs",
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -1,0 +1,70 @@
+"""`lsnet-pipe schedule`."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inspect_pipeline.commands.options import StoreOption
+
+
+class Scheduler(StrEnum):
+    """What `--print` takes."""
+
+    systemd = "systemd"
+    cron = "cron"
+
+
+def schedule(
+    inbox: Annotated[
+        list[str], typer.Argument(metavar="INBOX...", help="Folders, recordings, or globs in quotes.")
+    ],
+    scheduler: Annotated[Scheduler, typer.Option("--print", help="For whom.")],
+    store: StoreOption = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The file of further options of `batch`.")
+    ] = None,
+    at: Annotated[
+        datetime, typer.Option(formats=["%H:%M"], metavar="HH:MM", help="When, in local time.")
+    ] = "01:30",  # type: ignore[assignment]  # Typer parses it
+    user: Annotated[str | None, typer.Option(metavar="NAME", help="The user of the service.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Write the units there instead of printing them."),
+    ] = None,
+) -> None:
+    """Print what makes systemd or cron run `batch` every night.
+
+    Example: lsnet-pipe schedule /data/inbox --store /data/inspections --print systemd
+    """
+    from inspect_pipeline.errors import OutputError
+    from inspect_pipeline.schedule import cron_line, systemd_units
+    from inspect_pipeline.store import store_path
+
+    folder = store_path(store).absolute()
+    program = str(Path(sys.executable).with_name("lsnet-pipe"))
+    options = ["--config", str(config.absolute())] if config else []
+    # A timer has another current directory than this command.
+    inboxes = [str(Path(name).absolute()) for name in inbox]
+    command = [program, "batch", *inboxes, "--store", str(folder), *options]
+    if scheduler is Scheduler.cron:
+        try:
+            typer.echo(cron_line(command, at.time()), nl=False)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+        return
+    units = systemd_units(command, folder, at.time(), user)
+    for suffix, text in units._asdict().items():
+        name = f"lsnet-pipe.{suffix}"
+        if output is None:
+            typer.echo(f"# {name}\n{text}")
+            continue
+        try:
+            (output / name).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise OutputError(output / name, str(error.strerror), "give another folder with -o") from error

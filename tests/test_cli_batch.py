@@ -1,0 +1,145 @@
+"""The nightly commands as their users meet them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+from factories import make_recording, shots
+from prometheus_client.parser import text_string_to_metric_families
+from stubs import InlineExecutor, make_stub_in_cwd
+
+import cli
+from inspect_pipeline import batch, worker
+from inspect_pipeline.store import Store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+class Outcome(NamedTuple):
+    exit_code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> Callable[..., Outcome]:
+    """Run `lsnet-pipe ...` in this process and a folder of its own, where recordings wait in ./inbox."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LSNET_PIPE_STORE", str(tmp_path / "store"))
+    monkeypatch.setattr(batch, "LocalExecutor", InlineExecutor)
+    monkeypatch.setattr(worker, "LoadDetector", make_stub_in_cwd)
+    monkeypatch.setattr(signal, "signal", lambda number, handler: signal.SIG_DFL)
+    (tmp_path / "inbox").mkdir()
+    for i in range(2):
+        make_recording(tmp_path / "inbox" / f"r{i}.mcap", shots(2 + i))
+    (tmp_path / "inbox" / "odd\n\x1b[2J.mcap").write_bytes(b"no recording")
+    for path in (tmp_path / "inbox").iterdir():
+        os.utime(path, (0, 0))
+
+    def run(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["lsnet-pipe", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capfd.readouterr()
+        return Outcome(int(ended.value.code or 0), captured.out, captured.err)
+
+    return run
+
+
+def test_a_night_as_people_see_it(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    night = run("batch", "inbox")
+    assert night.exit_code == 3
+    assert night.out.startswith("3 recordings: 2 processed, 0 done before, 1 in quarantine, 0 still being")
+    assert f"{tmp_path}/inbox/r0.mcap: ok, 2 frames, 1 segments, " in night.err
+    assert "/inbox/odd??[2J.mcap: in quarantine after attempt 1, unreadable: " in night.err
+    assert "\x1b" not in night.err
+    listed = run("quarantine", "list")
+    assert listed.out.count("\n") == 2
+    note_id = json.loads(run("quarantine", "list", "--json").out)["id"]
+    assert listed.out.startswith(f"{note_id}  20")
+    assert run("quarantine", "clear").out == ""
+    assert run("quarantine", "retry", "xyz").exit_code == 2
+    assert run("quarantine", "retry", note_id).out == f"{tmp_path}/inbox/odd??[2J.mcap\n"
+    assert run("batch", "inbox").out.startswith("3 recordings: 0 processed, 2 done before, 1 in quarantine")
+    (tmp_path / "inbox" / "odd\n\x1b[2J.mcap").unlink()
+    assert "odd" in run("quarantine", "clear").out
+    assert run("batch", "inbox").exit_code == 0
+    head, *nights = run("runs").out.splitlines()
+    assert head.split()[:4] == ["started", "seconds", "exit", "processed"]
+    assert [night.split()[3:5] for night in nights] == [["3", "2"], ["3", "0"], ["0", "0"]]
+    assert json.loads(run("runs", "--json").out.splitlines()[0])["counts"]["n_processed"] == 2
+
+
+def test_a_night_as_machines_see_it(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    hook = f"{sys.executable} -c \"import sys; open('told', 'w').write(sys.stdin.read())\""
+    options = ("--log-format", "json", "--metrics", "lsnet.prom", "--on-finish", hook, "--tag", "line=L12")
+    night = run("batch", "inbox", *options)
+    lines = [json.loads(line) for line in night.err.splitlines()]
+    assert [line["event"] for line in lines][0::5] == ["batch started", "batch finished"]
+    assert {line["level"] for line in lines} == {"info", "warning"}
+    told = json.loads((tmp_path / "told").read_text())
+    assert told == json.loads((tmp_path / "store" / "summary.json").read_text())
+    assert (told["exit_code"], told["tags"], told["counts"]["n_frames"]) == (3, {"line": "L12"}, 5)
+    families = text_string_to_metric_families((tmp_path / "lsnet.prom").read_text())
+    values = {(s.name, *s.labels.values()): s.value for family in families for s in family.samples}
+    assert values["lsnet_pipe_last_run_exit_code",] == 3
+    assert time.time() - values["lsnet_pipe_last_success_timestamp_seconds",] < 60
+    assert values["lsnet_pipe_recordings", "quarantined"] == values["lsnet_pipe_quarantine_size",] == 1
+    assert values["lsnet_pipe_frames",] == 5
+
+
+def test_options_from_a_file(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    (tmp_path / "night.toml").write_text(
+        'inbox = ["inbox"]\nevery = 2\ntag = ["line=L12", "crew=b"]\nlimit = 1\nsince = 1970-01-01\n'
+        'store = "elsewhere"\nstrict = false\n'
+    )
+    assert run("batch", "--config", "night.toml", "--limit", 2).exit_code == 3
+    summary = json.loads((tmp_path / "elsewhere" / "summary.json").read_text())
+    assert (summary["tags"], summary["config"]["every"]) == ({"line": "L12", "crew": "b"}, 2)
+    assert summary["counts"]["n_left"] == 1
+    for text, words in (("evry = 2", "no option 'evry'"), ("every = ", "night.toml"), ("every = 0", "every")):
+        (tmp_path / "night.toml").write_text(text)
+        outcome = run("batch", "inbox", "--config", "night.toml")
+        assert (outcome.exit_code, words in outcome.err) == (2, True)
+
+
+def test_a_dry_run_writes_nothing(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    outcome = run("batch", "inbox/*", "--dry-run")
+    assert (outcome.exit_code, len(outcome.out.splitlines())) == (0, 3)
+    assert not (tmp_path / "store").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "words"),
+    [
+        (("nowhere",), 1, "nowhere: there is no such folder or file; check the name"),
+        (("inbox", "--weights", "none"), 1, "error: no weights named 'none'"),
+        (("inbox", "--tag", "L12"), 2, "'L12' is not like line=L12"),
+        (("inbox", "--on-finish", "false"), 1, "error: false: the command of --on-finish failed"),
+        (("inbox", "--metrics", "no/where.prom"), 1, "no/where.prom: the metrics cannot be written"),
+    ],
+)
+def test_what_goes_wrong_is_told(
+    run: Callable[..., Outcome], arguments: tuple[str, ...], exit_code: int, words: str
+) -> None:
+    outcome = run("batch", *arguments)
+    assert outcome.exit_code == exit_code
+    assert words in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+def test_the_second_batch_names_the_first(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    with Store(tmp_path / "store").batch_lock():
+        outcome = run("batch", "inbox")
+    assert outcome.exit_code == 11
+    assert f"pid {os.getpid()} since" in outcome.err

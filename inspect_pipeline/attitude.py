@@ -48,7 +48,7 @@ class Attitude(NamedTuple):
 def position(latitude_deg: float, longitude_deg: float, altitude_m: float) -> Position | None:
     """A position; None for one that is nowhere, or at 0, 0, as receivers say that have no fix."""
     is_somewhere = abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg or longitude_deg)
-    return Position(latitude_deg, longitude_deg, altitude_m) if is_somewhere else None
+    return Position(float(latitude_deg), float(longitude_deg), float(altitude_m)) if is_somewhere else None
 
 
 def from_ned(rotation: Quaternion) -> YawPitchRoll | None:
@@ -56,9 +56,10 @@ def from_ned(rotation: Quaternion) -> YawPitchRoll | None:
 
     As PX4 and MAVLink have it.
     """
-    if not 0.9 < math.hypot(*rotation) < 1.1:
+    norm = math.hypot(*rotation)
+    if not 0.9 < norm < 1.1:
         return None
-    w, x, y, z = rotation
+    w, x, y, z = (part / norm for part in rotation)
     sine = 2 * (w * y - z * x)
     if abs(sine) > _UPRIGHT_SINE:  # yaw and roll turn about one axis: all of it is yaw
         yaw, pitch, roll = 2 * math.atan2(z, w), math.copysign(math.pi / 2, sine), 0.0

@@ -11,7 +11,16 @@ from typing import ClassVar
 from google.protobuf.message import DecodeError
 
 # What reading fields from a message of any encoding can raise, JSON and protobuf included.
-MALFORMED = (ValueError, LookupError, TypeError, AttributeError, struct.error, RecursionError, DecodeError)
+MALFORMED = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+    struct.error,
+    DecodeError,
+)
 
 
 class SequentialReader:

@@ -265,6 +265,9 @@ def test_what_foxglove_sdk_writes_is_read(tmp_path: Path) -> None:
         json_row("/fix", "foxglove.LocationFix", latitude="north"),
         json_row("/vehicle_gps_position", "", fix_type=0, lat=1, lon=1, alt=1),
         json_row("/vehicle_attitude", "", q=[0, 0, 0, 0]),
+        json_row("/vehicle_attitude", "", q=[10**400, 0, 0, 0]),
+        json_row("/vehicle_gps_position", "", lat=10**400, lon=1, alt=1),
+        json_row("/vehicle_global_position", "", lat=1.0, lon=1.0, alt="high"),
         json_row("/vehicle_attitude", ""),
         json_row(
             "/tf",
@@ -331,6 +334,7 @@ def test_a_recording_without_poses_has_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize("turns", [TURNS, YawPitchRoll(-179.0, 60.0, -170.0), YawPitchRoll(0.0, 0.0, 0.0)])
 def test_turns_agree_with_scipy(turns: YawPitchRoll) -> None:
     assert from_ned(Quaternion(*ned(turns))) == pytest.approx(turns)
+    assert from_ned(Quaternion(*(1.05 * part for part in ned(turns)))) == pytest.approx(turns)
     assert from_enu(Quaternion(*enu(turns))) == pytest.approx(turns)
     quaternion = np.array(to_enu(turns))
     assert abs(quaternion @ enu(turns)) == pytest.approx(1)

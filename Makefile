@@ -7,7 +7,7 @@ INSTALLED := $(VENV)/.installed
 LSNET_PIPE := $(BIN)/lsnet-pipe
 DEMO_STORE := --store demo/store
 
-.PHONY: help demo test lint types contracts wheel slow bench clean
+.PHONY: help demo test lint types contracts wheel slow reliability reliability-short bench clean
 
 help:
 	@echo "make demo       simulate a flight, process it, ask three questions, draw a picture"
@@ -18,6 +18,8 @@ help:
 	@echo "make wheel      build the wheel, use it in a new environment"
 	@echo "make slow       the tests that take minutes, npm or much disk"
 	@echo "make bench      speed and memory against what else does the same, some minutes"
+	@echo "make reliability-short    kills, stops and repeats of batches, a few minutes"
+	@echo "make reliability          the same with 500 kills and 10,000 recordings, hours"
 	@echo "make clean      remove what was built, but not $(VENV)"
 
 $(INSTALLED): pyproject.toml constraints.txt
@@ -57,7 +59,13 @@ wheel: $(INSTALLED)
 	$(BIN)/python -m pytest -q -m slow tests/test_packaging.py
 
 slow: $(INSTALLED)
-	$(BIN)/python -m pytest -q -m slow
+	$(BIN)/python -m pytest -q -m 'slow and not reliability'
+
+reliability: $(INSTALLED)
+	$(BIN)/python -m pytest -q -m reliability
+
+reliability-short: $(INSTALLED)
+	$(BIN)/python -m pytest -q -m 'reliability and not slow'
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_encode.py

@@ -92,8 +92,9 @@ def _stop(signal_number: int, _frame: FrameType | None) -> None:
 
 def _to_message(error: Exception) -> str | None:
     """The line for an error that users can meet; None for a fault of the program."""
-    lsnet = sys.modules.get("lsnet")  # slow to import, and not needed to raise what it has not raised
-    if isinstance(error, InspectError) or (lsnet and isinstance(error, lsnet.LSNetError)):
+    # lsnet is slow to import, and not needed to tell an error that it has not raised.
+    detector_error = getattr(sys.modules.get("lsnet"), "LSNetError", InspectError)
+    if isinstance(error, (InspectError, detector_error)):
         return str(error)
     if isinstance(error, OSError):  # what no command expects: a disk that fails, rights that change
         return f"{error.filename or 'system'}: {error.strerror or error}; check the disk and its rights"

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     Rng = np.random.Generator
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".hdr"}
+PLAIN_SHARE = 0.25  # of the backgrounds are drawn: asphalt, concrete and sky are rare among photographs
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ class BackgroundPool:
 
     def sample(self, rng: Rng, size: int) -> Image:
         """A float32 (size, size, 3) background."""
-        if not self._folders or rng.random() < 0.15:
+        if not self._folders or rng.random() < PLAIN_SHARE:
             return plain(rng, size)
         photos = self._folders[rng.choice(len(self._folders), p=self._shares)]
         return cut_out(photos[rng.integers(len(photos))], rng, size)

@@ -171,16 +171,22 @@ def half_plane(image: Image, rng: Rng, ground: Image) -> None:
 
 
 def _kerb(image: Image, rng: Rng, border: NDArray[np.floating], across: NDArray[np.floating]) -> None:
-    """Bands of different tones beside each other along a border, with joints now and then."""
-    kerb_width, tone = rng.uniform(2, 26), rng.uniform(60, 245)
+    """Bands of different tones beside each other along a border, worn and soft, with joints now and then."""
+    kerb_width, tone = rng.uniform(2, 26), rng.uniform(40, 245)
+    layer = image.copy()
     at = 0.0
-    for _ in range(int(rng.integers(1, 4))):
-        band = kerb_width * rng.uniform(0.2, 1.0)
-        rgb = np.clip(np.full(3, tone * rng.uniform(0.3, 1.1)) + rng.normal(0, 5, 3), 0, 255)
-        _stroke(image, border + across * (at + band / 2), rgb, band + 1)
+    for _ in range(int(rng.integers(1, 5))):
+        band = max(1.0, kerb_width * rng.uniform(0.1, 1.0))
+        rgb = np.clip(np.full(3, tone * rng.uniform(0.25, 1.1)) + rng.normal(0, 5, 3), 0, 255)
+        _stroke(layer, border + across * (at + band / 2), rgb, band + 1)
         at += band
-    if rng.random() < 0.5:
-        _ties(image, rng, border, across * at, tone * 0.5)
+    if rng.random() < 0.4:
+        _ties(layer, rng, border, across * at, tone * 0.5)
+    soft = cv2.GaussianBlur(layer, (0, 0), rng.uniform(0.3, 2.2)) if rng.random() < 0.7 else layer
+    height, width = image.shape[:2]
+    coarse = rng.uniform(rng.uniform(0, 1), 1, (height // 24 + 2, width // 24 + 2)).astype(np.float32)
+    worn = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)[..., None]
+    _set(image, image + worn * (soft.astype(np.float32) - image.astype(np.float32)))
 
 
 def _ties(
@@ -293,13 +299,16 @@ def cracks(image: Image, rng: Rng) -> None:
 
 
 def foliage(image: Image, rng: Rng) -> None:
-    """Leaves: many small blobs of one hue, lit and in shade, over a patch."""
+    """Leaves: many small blobs of one hue, lit and in shade, over a patch or all over."""
     height, width = image.shape[:2]
-    count, size = int(rng.choice([int(rng.integers(150, 900)), 2500], p=[0.8, 0.2])), rng.uniform(1.5, 7)
+    is_dense = rng.random() < 0.45
+    count, size = 2500 if is_dense else int(rng.integers(150, 900)), rng.uniform(1.5, 6)
     hue = np.array([rng.uniform(50, 150), rng.uniform(60, 160), rng.uniform(20, 90)])
     centre, spread = _anywhere(image, rng, 0), rng.uniform(0.15, 0.8) * max(height, width)
     places = centre + rng.normal(0, spread / 2, (count, 2))
-    tones = np.clip(hue * rng.gamma(4, 0.25, (count, 1)), 0, 255)
+    if is_dense:
+        places = rng.uniform(-5, 5, (count, 2)) + rng.uniform(0, 1, (count, 2)) * [width, height]
+    tones = np.clip(hue * rng.gamma(rng.uniform(1.5, 4), 0.3, (count, 1)), 0, 255)
     axes, angles = rng.uniform(0.4, 1.6, (count, 2)) * size, rng.uniform(0, 180, count)
     for place, tone, axis, angle in zip(places, tones, axes, angles, strict=True):
         centre_fixed = (int(place[0] * SCALE), int(place[1] * SCALE))
@@ -314,7 +323,7 @@ KINDS: dict[Callable[[Image, Rng], None], float] = {
     tile_grid: 0.18,
     cracks: 0.10,
     building: 0.12,
-    foliage: 0.16,
+    foliage: 0.22,
     fence: 0.08,
     trunk: 0.12,
     struts: 0.10,

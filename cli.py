@@ -72,22 +72,26 @@ def _before_command(
 
 
 def main() -> None:
-    """Run the command line; the exit code is that of the error that ended it."""
+    """Run the command line; the exit code is that of the error or the signal that ended it."""
+    received: list[int] = []
+
+    def stop(signal_number: int, _frame: FrameType | None) -> None:
+        """End as after an error: what was begun is cleaned up on the way out."""
+        received.append(signal_number)
+        sys.exit(128 + signal_number)
+
     for signal_number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(signal_number, _stop)
+        signal.signal(signal_number, stop)
     try:
         app()
     except Exception as error:
+        if received:  # DuckDB answers a stop amid a statement with an error of its own
+            sys.exit(128 + received[0])
         message = _to_message(error)
         if message is None:
             raise
         typer.echo(f"error: {message}", err=True)
         sys.exit(getattr(error, "exit_code", 1))
-
-
-def _stop(signal_number: int, _frame: FrameType | None) -> None:
-    """End as after an error: what was begun is cleaned up on the way out."""
-    sys.exit(128 + signal_number)
 
 
 def _to_message(error: Exception) -> str | None:

@@ -43,7 +43,7 @@ demo: $(INSTALLED)
 	@echo "picture        demo/overlay.png"
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n auto --dist loadfile
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

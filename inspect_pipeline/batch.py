@@ -69,8 +69,12 @@ def run_batch(
     Raises StoreBusyError while another batch holds the store, StoreError when it cannot be locked.
     """
     stop = stop or StopRequest()
-    with store.batch_lock(), _executor(job, options, stop) as executor:
-        return _Batch(store, job, options, executor=executor, report=report, stop=stop).run()
+    with store.batch_lock():
+        with _executor(job, options, stop) as executor:
+            summary = _Batch(store, job, options, executor=executor, report=report, stop=stop).run()
+        with suppress(StoreError):  # its workers are dead only now
+            store.remove_leftovers()
+    return summary
 
 
 def plan_batch(store: Store, job: Job, options: BatchOptions, report: Report) -> list[Candidate]:

@@ -1,0 +1,114 @@
+"""Where one ground ends and another begins: kerbs, gutters, road sides, plants that hang over."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from lsnet.synth.brush import SCALE, SHIFT, anywhere, direction, put, smooth_noise, stroke
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Image = NDArray[np.uint8]
+    Rng = np.random.Generator
+
+
+def half_plane(image: Image, rng: Rng, ground: Image) -> None:
+    """Another ground, given as an image, behind a border with or without a kerb and its shadow."""
+    height, width = image.shape[:2]
+    centre, angle = anywhere(image, rng, -0.1), rng.uniform(0, 2 * np.pi)
+    along, across = direction(angle), direction(angle + np.pi / 2)
+    bend = rng.normal(0, 0.0006) if rng.random() < 0.3 else 0.0
+    t = np.linspace(-1.5, 1.5, 25)[:, None] * max(height, width)
+    border = centre + along * t + across * bend * t**2
+    ragged = border
+    if rng.random() < 0.5:  # plants that hang over the border
+        steps = np.linspace(0, 24, 400)
+        ragged = np.stack([np.interp(steps, np.arange(25), border[:, axis]) for axis in (0, 1)], axis=1)
+        ragged = ragged + across * (rng.normal(0, 1, (400, 1)) * rng.uniform(1, 8) + rng.uniform(0, 12))
+    polygon = np.vstack([ragged, (border + across * 3 * max(height, width))[::-1]])
+    mask = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(mask, [np.round(polygon * SCALE).astype(np.int32)], 255, cv2.LINE_AA, SHIFT)
+    if rng.random() < 0.8:
+        _kerb(image, rng, border, across if rng.random() < 0.5 else -across)
+    alpha = (mask.astype(np.float32) / 255)[..., None]
+    if rng.random() < 0.4:  # and the shadow they throw
+        shade = cv2.GaussianBlur(alpha, (0, 0), rng.uniform(1, 8))[..., None]
+        put(image, image * (1 - np.float32(rng.uniform(0.2, 0.7)) * shade))
+    put(image, image + alpha * (ground - image.astype(np.float32)))
+
+
+def _kerb(image: Image, rng: Rng, border: NDArray[np.floating], across: NDArray[np.floating]) -> None:
+    """Bands of different tones beside each other along a border, worn and soft, with joints now and then."""
+    kerb_width, tone = rng.uniform(2, 26), rng.uniform(40, 245)
+    layer = image.copy()
+    at = 0.0
+    for _ in range(int(rng.integers(1, 5))):
+        band = max(1.0, kerb_width * rng.uniform(0.1, 1.0))
+        rgb = np.clip(np.full(3, tone * rng.uniform(0.25, 1.1)) + rng.normal(0, 5, 3), 0, 255)
+        stroke(layer, border + across * (at + band / 2), rgb, band + 1)
+        at += band
+    if rng.random() < 0.4:
+        _ties(layer, rng, border, across * at, tone * 0.5)
+    soft = cv2.GaussianBlur(layer, (0, 0), rng.uniform(0.3, 2.2)) if rng.random() < 0.7 else layer
+    height, width = image.shape[:2]
+    coarse = rng.uniform(rng.uniform(0, 1), 1, (height // 24 + 2, width // 24 + 2)).astype(np.float32)
+    worn = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)[..., None]
+    put(image, image + worn * (soft.astype(np.float32) - image.astype(np.float32)))
+
+
+def _ties(
+    image: Image, rng: Rng, border: NDArray[np.floating], reach: NDArray[np.floating], tone: float
+) -> None:
+    """Short joints across a band along `border`."""
+    steps = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(border, axis=0).T))])
+    for s in np.arange(0, steps[-1], rng.uniform(12, 60)):
+        at = np.array([np.interp(s, steps, border[:, 0]), np.interp(s, steps, border[:, 1])])
+        stroke(image, np.stack([at - reach * 0.5, at + reach]), np.full(3, tone), 1)
+
+
+def roadside(image: Image, rng: Rng) -> None:
+    """The straight edge of a road, a roof or a wall: bands of close tones between two different grounds.
+
+    Paving as smooth as a cable on one side, what was there before on the other; gutter, kerb and shadow
+    between them are as thin, straight and even as cables, but never have the same ground on both sides.
+    """
+    height, width = image.shape[:2]
+    angle, through = rng.uniform(0, 2 * np.pi), anywhere(image, rng, -0.1)
+    across = direction(angle + np.pi / 2)
+    x, y = np.arange(width, dtype=np.float32) + 0.5, (np.arange(height, dtype=np.float32) + 0.5)[:, None]
+    v = ((x - through[0]) * across[0] + (y - through[1]) * across[1]).astype(np.float32)
+    if rng.random() < 0.3:
+        u = (x - through[0]) * across[1] - (y - through[1]) * across[0]
+        v += np.float32(rng.normal(0, 0.0006)) * u * u
+    widths, tones = _bands(rng)
+    edges = np.concatenate([[0.0], np.cumsum(widths)])
+    v += smooth_noise(rng, (height, width), rng.uniform(8, 60)) * np.float32(rng.uniform(0, 0.7))
+    fine = np.arange(-8, edges[-1] + 8, 0.25)
+    band = np.clip(np.searchsorted(edges, fine, side="right"), 0, len(tones) - 1)
+    profile = cv2.GaussianBlur(tones[band][None], (0, 0), rng.uniform(1, 6)).ravel()
+    tone = np.interp(v, fine, profile).astype(np.float32)
+    paving = tones[0] + (tone - tones[0]) * (
+        1 - np.float32(rng.uniform(0, 0.6)) * np.abs(smooth_noise(rng, (height, width), 30))
+    )
+    tint = 1 + rng.normal(0, 0.03, 3).astype(np.float32)
+    road = paving[..., None] * tint + smooth_noise(rng, (height, width), 1)[..., None] * rng.uniform(0, 7)
+    road += smooth_noise(rng, (height, width), rng.uniform(20, 150))[..., None] * rng.uniform(0, 10)
+    ragged = smooth_noise(rng, (height, width), rng.uniform(2, 10)) * np.float32(rng.uniform(0, 4))
+    alpha = np.clip(edges[-1] + 0.5 - (v + (ragged if rng.random() < 0.5 else 0)), 0, 1)[..., None]
+    if rng.random() < 0.3:  # a strip too wide for a cable
+        alpha *= np.clip(v + 0.5 + rng.uniform(25, 90), 0, 1)[..., None]
+    put(image, image + alpha * (road - image.astype(np.float32)))
+
+
+def _bands(rng: Rng) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Widths in pixels of gutter, kerb faces and shadows, and their tones, the paving's before the first."""
+    base, count = rng.uniform(30, 215), int(rng.integers(1, 6))
+    widths = np.where(rng.random(count) < 0.55, rng.uniform(1, 5, count), rng.uniform(4, 18, count))
+    contrast = rng.uniform(0.08, 0.6)
+    tones = base * np.exp(rng.normal(0, contrast, count + 1))
+    tones[0] = base
+    return widths, np.clip(tones, 3, 250).astype(np.float32)

@@ -112,7 +112,8 @@ class _Batch:
     ) -> None:
         self._store, self._job, self._options = store, job, options
         self._executor, self._report, self._stop = executor, report, stop
-        self._run = start_described_run({}, job.options)  # until a worker tells what its detector is
+        # Until a worker tells what its detector is.
+        self._run = start_described_run({}, job.options, "batch", options.tags)
         self._quarantine, self._cache = Quarantine(store), StatCache(store)
         self._counts = Counts()
         self._last_publish = time.monotonic()
@@ -141,7 +142,8 @@ class _Batch:
         self._counts = Counts(n_found=len(found.candidates))
         for link in found.links_out:
             self._report("link out of the inbox left alone", path=str(link))
-        self._run = start_described_run(self._executor.describe(), self._job.options)
+        description = self._executor.describe()
+        self._run = start_described_run(description, self._job.options, "batch", self._options.tags)
         due = [candidate for candidate in found.candidates if self._is_due(candidate)]
         return due[: self._options.limit]
 
@@ -253,7 +255,6 @@ class _Batch:
         exit_code = self._stop.exit_code or (3 if n_refused else 0)
         return RunSummary(
             run=self._run,
-            tags=self._options.tags,
             finished_at=datetime.now(UTC),
             exit_code=error.exit_code if error else exit_code,
             error=str(error) if error else None,

@@ -9,7 +9,7 @@ import uuid
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from inspect_pipeline.flight import ModelRecord, RunRecord
 from inspect_pipeline.resources import MIGRATIONS
@@ -33,16 +33,21 @@ class ProcessOptions:
     every: int = 1
     start_ns: int | None = None
     end_ns: int | None = None
-    strict: bool = True
+    strict: bool = False
     force: bool = False
 
 
 def start_run(detector: Detector, options: ProcessOptions) -> RunRecord:
     """The record of a run that begins now. Its hash is the same whenever its results would be."""
-    return start_described_run(detector.describe(), options)
+    return start_described_run(detector.describe(), options, "process", {})
 
 
-def start_described_run(description: Mapping[str, str | int | float], options: ProcessOptions) -> RunRecord:
+def start_described_run(
+    description: Mapping[str, str | int | float],
+    options: ProcessOptions,
+    command: Literal["process", "batch"],
+    tags: Mapping[str, str],
+) -> RunRecord:
     """`start_run` with a detector that is in another process, by what it says about itself."""
     config: dict[str, Any] = {
         "detector": dict(description),
@@ -59,6 +64,8 @@ def start_described_run(description: Mapping[str, str | int | float], options: P
         app_version=version("lsnet-pipe"),
         config_sha256=_sha256(config),
         config=config,
+        command=command,
+        tags=dict(tags),
     )
 
 

@@ -27,7 +27,10 @@ class ModelRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """One `process` or `batch`: run_id is a UUID, started_at is in UTC, config is plain JSON."""
+    """One `process` or `batch`: run_id is a UUID, started_at is in UTC, config is plain JSON.
+
+    command and tags, what `--tag` said, are missing in records of before they were kept.
+    """
 
     run_id: str
     started_at: datetime
@@ -35,6 +38,17 @@ class RunRecord:
     app_version: str
     config_sha256: str
     config: Mapping[str, Any]
+    command: Literal["process", "batch"] | None = None
+    tags: Mapping[str, str] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values, times as ISO 8601 in UTC."""
+        return asdict(self) | {"started_at": _to_iso(self.started_at)}
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> RunRecord:
+        """The record that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
+        return cls(**{**value, "started_at": datetime.fromisoformat(value["started_at"])})
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +91,15 @@ class FlightRecord:
         """The content of result.json: plain JSON values, times as ISO 8601 in UTC."""
         fields = asdict(self)
         fields["ingested_at"] = _to_iso(self.ingested_at)
-        fields["run"]["started_at"] = _to_iso(self.run.started_at)
+        fields["run"] = self.run.to_json()
         return {"result_version": RESULT_VERSION, **fields}
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> FlightRecord:
         """The record that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
         fields = {name: value[name] for name in cls.__dataclass_fields__}
-        run = value["run"]
         fields["ingested_at"] = datetime.fromisoformat(value["ingested_at"])
-        fields["run"] = RunRecord(**{**run, "started_at": datetime.fromisoformat(run["started_at"])})
+        fields["run"] = RunRecord.from_json(value["run"])
         fields["model"] = ModelRecord(**value["model"])
         fields["channels"] = tuple(CameraChannel(**channel) for channel in value["channels"])
         fields["totals"] = FlightTotals(**value["totals"])

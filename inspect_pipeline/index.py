@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import dataclass
+from datetime import UTC
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ import duckdb
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.files import fsync_path, store_errors
 from inspect_pipeline.resources import MIGRATIONS, read_schema
+from inspect_pipeline.runs import load_runs, run_rows
 from inspect_pipeline.tables import ROW_TABLES, count_migrations, create_tables
 
 if TYPE_CHECKING:
@@ -71,7 +73,7 @@ def publish(store: Store) -> IndexChange:
         if known is None:
             return _rebuild(store, flights, damaged)
         wanted = {flight.record.flight_id: flight.result_sha256 for flight in flights}
-        if known == wanted and _is_of_this_program(store.index_path):
+        if known == wanted and _is_current(store, flights):
             return IndexChange(len(flights), 0, 0, tuple(damaged))
         try:
             return _replace_index(store, flights, damaged, known)
@@ -102,14 +104,25 @@ def verify(store: Store) -> tuple[str, ...]:
         problems += [f"{flight_id}: not in the index; {_REBUILD}" for flight_id in wanted.keys() - known]
         same = {i: f for i, f in wanted.items() if known.get(i) == f.result_sha256}
         problems += [f"{i}: older in the index; {_REBUILD}" for i in (wanted.keys() & known) - same.keys()]
-        return (*problems, *_compare_rows(store.index_path, list(same.values())))
+        problems += _compare_rows(store.index_path, list(same.values()))
+        if not problems and not _is_current(store, flights):
+            problems.append(f"{store.index_path}: other runs, or of another version; {_REBUILD}")
+        return tuple(problems)
 
 
-def _is_of_this_program(path: Path) -> bool:
-    """Whether tables and views of a readable index are those of this version of the program."""
-    with duckdb.connect(path, read_only=True, config=_CONFIG) as connection:
+def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
+    """Whether a readable index has the tables and views of this version of the program, and all runs."""
+    with duckdb.connect(store.index_path, read_only=True, config=_CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
-        return connection.execute(latest).fetchone() == (len(MIGRATIONS), version("lsnet-pipe"))
+        if connection.execute(latest).fetchone() != (len(MIGRATIONS), version("lsnet-pipe")):
+            return False
+        rows = connection.execute("SELECT run_id::VARCHAR, finished_at FROM runs").fetchall()
+    found = {run_id: time and time.replace(tzinfo=UTC).isoformat() for run_id, time in rows}
+    return found == {row["run_id"]: row["finished_at"] for row in _run_rows(store, flights)}
+
+
+def _run_rows(store: Store, flights: list[StoredFlight]) -> list[dict[str, Any]]:
+    return run_rows((flight.record.run for flight in flights), load_runs(store))
 
 
 def _whole_flights(store: Store) -> tuple[list[StoredFlight], list[Path]]:
@@ -171,6 +184,8 @@ def _replace_index(
         with duckdb.connect(following, config=_CONFIG) as connection:
             create_tables(connection)
             _replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
+            connection.execute("DELETE FROM runs")
+            _insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
             connection.execute(read_schema("views.sql"))
             connection.execute("UPDATE schema_version SET app_version = ?", [version("lsnet-pipe")])
             connection.execute("CHECKPOINT")
@@ -199,23 +214,20 @@ def _replace_rows(
     for start in range(0, len(flights), _FLIGHTS_PER_INSERT):
         _insert_flights(connection, flights[start : start + _FLIGHTS_PER_INSERT])
     connection.execute("DELETE FROM models WHERE model_id NOT IN (SELECT model_id FROM flights)")
-    connection.execute("DELETE FROM runs WHERE run_id NOT IN (SELECT run_id FROM flights)")
     connection.commit()
 
 
 def _insert_flights(connection: duckdb.DuckDBPyConnection, flights: Sequence[StoredFlight]) -> None:
     for table in ROW_TABLES:
-        statement = f"INSERT INTO {table} BY NAME SELECT * FROM {_PARQUET}"
-        connection.execute(statement, [_row_files(flights, table)])
+        if files := _row_files(flights, table):
+            connection.execute(f"INSERT INTO {table} BY NAME SELECT * FROM {_PARQUET}", [files])
     records = {flight.result_sha256: flight.record.to_json() for flight in flights}
-    runs = {record["run"]["run_id"]: record["run"] for record in records.values()}
     models = {record["model"]["model_id"]: record["model"] for record in records.values()}
     channels = [
         {"flight_id": record["flight_id"], **channel}
         for record in records.values()
         for channel in record["channels"]
     ]
-    _insert_records(connection, "INSERT OR REPLACE INTO runs", "runs", list(runs.values()))
     _insert_records(connection, "INSERT OR REPLACE INTO models", "models", list(models.values()))
     _insert_records(connection, "INSERT INTO flights", "flights", [_flight_row(*r) for r in records.items()])
     _insert_records(connection, "INSERT INTO channels", "channels", channels)
@@ -249,7 +261,9 @@ def _insert_records(
 
 
 def _row_files(flights: Iterable[StoredFlight], table: str) -> list[str]:
-    return [str(flight.folder / f"{table}.parquet") for flight in flights]
+    """The files of a table; flights of before it was kept have none."""
+    name = f"{table}.parquet"
+    return [str(flight.folder / name) for flight in flights if name in flight.record.files]
 
 
 def _compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
@@ -258,7 +272,11 @@ def _compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
     try:
         with duckdb.connect(index_path, read_only=True, config=_CONFIG) as connection:
             for table in ROW_TABLES if flights else ():
-                expected = _digests(connection, table, _PARQUET, [_row_files(flights, table)])
+                if not (files := _row_files(flights, table)):
+                    continue
+                # What files of before a column was kept lack is NULL in the index.
+                rows = f"((FROM {table} LIMIT 0) UNION ALL BY NAME FROM {_PARQUET})"
+                expected = _digests(connection, table, rows, [files])
                 found = _digests(connection, table, table, [])
                 differing = [i for i, digest in expected.items() if found.get(i) != digest]
                 problems += [f"{i}: other {table} in the index; {_REBUILD}" for i in differing]

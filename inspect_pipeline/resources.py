@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-MIGRATIONS = ("0001_initial.sql",)  # of the index, in order; a file that was released never changes
+# Of the index, in order; a file that was released never changes.
+MIGRATIONS = ("0001_initial.sql", "0002_runs.sql")
 
 
 def read_schema(name: str) -> str:

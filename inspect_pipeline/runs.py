@@ -1,4 +1,4 @@
-"""What a batch did: runs/<run_id>.json in the store, and the same for people's own tools.
+"""What a `process` or a `batch` did: runs/<run_id>.json in the store, and the same for people's own tools.
 
 summary.json is the summary of the latest batch.
 """
@@ -18,12 +18,15 @@ from inspect_pipeline.files import store_errors, write_whole
 from inspect_pipeline.flight import RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from inspect_pipeline.store import Store
 
 
 _HOOK_TIMEOUT_S = 300
+_NO_ENDING = dict.fromkeys(
+    ("finished_at", "exit_code", "error", "n_processed", "n_skipped", "n_failed", "n_quarantined")
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +34,16 @@ class Counts:
     """Recordings by what became of them, and what was found in those that were processed.
 
     n_found: in the inbox; n_processed: new flights, of which n_recovered from damaged files; n_skipped:
-    done before; n_quarantined: given up in this run; n_in_quarantine: given up earlier and unchanged;
-    n_waiting: still being written; n_left: untouched, because of the limit, a stop or an error.
+    done before; n_failed: refused by `process`; n_quarantined: given up in this run; n_in_quarantine: given
+    up earlier and unchanged; n_waiting: still being written; n_left: untouched, because of the limit, a stop
+    or an error.
     """
 
     n_found: int = 0
     n_processed: int = 0
     n_recovered: int = 0
     n_skipped: int = 0
+    n_failed: int = 0
     n_quarantined: int = 0
     n_in_quarantine: int = 0
     n_waiting: int = 0
@@ -54,10 +59,9 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """A batch that has ended. finished_at is in UTC; error is the line told when it failed, else None."""
+    """A run that has ended. finished_at is in UTC; error is the line told when it failed, else None."""
 
     run: RunRecord
-    tags: Mapping[str, str]
     finished_at: datetime
     exit_code: int
     error: str | None
@@ -70,19 +74,16 @@ class RunSummary:
 
     def to_json(self) -> dict[str, Any]:
         """The content of summary.json: plain JSON values, times as ISO 8601 in UTC."""
-        run = asdict(self.run) | {"started_at": self.run.started_at.isoformat()}
         ending = {"finished_at": self.finished_at.isoformat(), "duration_s": round(self.duration_s, 3)}
         result = {"exit_code": self.exit_code, "error": self.error}
-        return {**run, **ending, **result, "tags": dict(self.tags), "counts": asdict(self.counts)}
+        return {**self.run.to_json(), **ending, **result, "counts": asdict(self.counts)}
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> RunSummary:
         """The summary that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
-        run = {name: value[name] for name in RunRecord.__dataclass_fields__}
-        run["started_at"] = datetime.fromisoformat(run["started_at"])
+        run = {name: value[name] for name in RunRecord.__dataclass_fields__ if name in value}
         return cls(
-            run=RunRecord(**run),
-            tags=value["tags"],
+            run=RunRecord.from_json(run),
             finished_at=datetime.fromisoformat(value["finished_at"]),
             exit_code=value["exit_code"],
             error=value["error"],
@@ -91,17 +92,18 @@ class RunSummary:
 
 
 def save_run(store: Store, summary: RunSummary) -> None:
-    """Keep a summary, as that of its run and as the latest; raises StoreError."""
+    """Keep a summary, as that of its run and, of a batch, as the latest; raises StoreError."""
     folder = store.root / "runs"
     text = json.dumps(summary.to_json(), indent=1) + "\n"
     with store_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / f"{summary.run.run_id}.json", text)
-        write_whole(store.root / "summary.json", text)
+        if summary.run.command == "batch":
+            write_whole(store.root / "summary.json", text)
 
 
 def load_runs(store: Store) -> list[RunSummary]:
-    """The summaries of all batches, oldest first; unreadable files are passed over. Raises StoreError."""
+    """The summaries of all runs, oldest first; unreadable files are passed over. Raises StoreError."""
     summaries = []
     with store_errors(store.root):
         for path in (store.root / "runs").glob("*.json"):
@@ -110,6 +112,16 @@ def load_runs(store: Store) -> list[RunSummary]:
             except (KeyError, TypeError, ValueError):
                 continue
     return sorted(summaries, key=lambda summary: summary.run.started_at)
+
+
+def run_rows(runs: Iterable[RunRecord], summaries: Iterable[RunSummary]) -> list[dict[str, Any]]:
+    """The rows of the table runs of the index, in plain JSON: of runs that made flights, or have ended."""
+    rows = {run.run_id: {**run.to_json(), **_NO_ENDING} for run in runs}
+    for summary in summaries:
+        whole = summary.to_json()
+        ending = {name: whole.get(name, whole["counts"].get(name)) for name in _NO_ENDING}
+        rows[summary.run.run_id] = {**summary.run.to_json(), **ending}
+    return list(rows.values())
 
 
 def notify(command: str, summary: RunSummary) -> None:

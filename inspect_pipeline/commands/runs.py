@@ -42,6 +42,6 @@ def runs(store: StoreOption = None, as_json: JsonOption = False) -> None:
                 quarantine=counts.n_quarantined + counts.n_in_quarantine,
                 left=counts.n_waiting + counts.n_left,
                 frames=counts.n_frames,
-                tags=printable(" ".join(f"{key}={value}" for key, value in summary.tags.items())),
+                tags=printable(" ".join(f"{key}={value}" for key, value in (summary.run.tags or {}).items())),
             )
         )

@@ -97,7 +97,7 @@ def test_new_recordings_are_processed_once(night: Night) -> None:
     assert [event for event, _ in night.events].count("recording done") == 2  # only these were read
     assert json.loads((night.store.root / "summary.json").read_text())["counts"]["n_skipped"] == 3
     assert load_runs(night.store) == [first, second]
-    assert first.tags == {"line": "L12"}
+    assert first.run.tags == {"line": "L12"}
 
 
 def test_refused_recordings_go_to_quarantine_and_stay_in_place(night: Night) -> None:

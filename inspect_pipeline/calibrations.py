@@ -15,8 +15,8 @@ from inspect_pipeline.wire import MALFORMED, CdrReader, FlatbufferTable, Ros1Rea
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from inspect_pipeline.recording import ChannelSummary, Recording
-    from inspect_pipeline.types import CameraChannel
+    from inspect_pipeline.recording import Recording
+    from inspect_pipeline.types import CameraChannel, ChannelSummary
     from inspect_pipeline.wire import SequentialReader
 
 

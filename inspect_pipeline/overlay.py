@@ -15,7 +15,8 @@ import numpy as np
 from inspect_pipeline.errors import OutputError, QueryError
 from inspect_pipeline.pipeline import ANNOTATED
 from inspect_pipeline.query import run_query
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,7 +16,8 @@ from inspect_pipeline.annotations import FrameAnnotator
 from inspect_pipeline.config import model_record, run_metadata
 from inspect_pipeline.flight import FlightRecord
 from inspect_pipeline.quality import ImageQuality, measure_quality
-from inspect_pipeline.recording import RUN_METADATA, iter_frames, open_recording, select_cameras
+from inspect_pipeline.recording import RUN_METADATA, open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.tables import FlightWriter
 from inspect_pipeline.types import ProcessResult
 from inspect_pipeline.writeback import annotated_copy
@@ -63,7 +64,7 @@ def process(
     recording = open_recording(path, strict=options.strict)
     if recording.is_annotated_copy:
         return ProcessResult(recording.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
-    select_cameras(recording, options.topics)
+    recording.select_cameras(options.topics)
     known = store.load_flight(recording.flight_id)
     if known and known.run.config_sha256 == run.config_sha256 and not options.force:
         return replace(_to_result(known, path, store, started), status="skipped")
@@ -159,7 +160,7 @@ def _write(
 
 
 def _expected_frames(recording: Recording, options: ProcessOptions) -> int | None:
-    counts = [camera.message_count for camera in select_cameras(recording, options.topics)]
+    counts = [camera.message_count for camera in recording.select_cameras(options.topics)]
     if options.start_ns is not None or options.end_ns is not None:
         return None
     return sum(-(-count // options.every) for count in counts if count) if all(counts) else None
@@ -181,7 +182,7 @@ def _to_record(
         ingested_at=datetime.now(UTC),
         run=run,
         model=model,
-        channels=select_cameras(recording, options.topics),
+        channels=recording.select_cameras(options.topics),
         totals=totals,
     )
 

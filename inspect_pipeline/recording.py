@@ -1,7 +1,6 @@
-"""Recordings: what an MCAP file holds, and its camera frames in log-time order.
+"""Recordings: what an MCAP file holds. Its frames are read by `recording_frames`.
 
     open_recording(path) -> Recording        what is in it
-    iter_frames(recording) -> Frames         one after another, memory bounded whatever the file
 
 Times are integer nanoseconds, ranges are start <= t < end. What cannot be read is lost with a phrase in
 `Recording.losses`, or refused when the recording was opened with `strict`.
@@ -20,44 +19,23 @@ from typing import TYPE_CHECKING
 from mcap.records import Attachment, Metadata
 
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording_cameras import find_cameras, select_cameras
+from inspect_pipeline.recording_cameras import find_cameras, is_image, to_camera
 from inspect_pipeline.recording_extents import STRICT_REMEDY, Damage, RecordingFile, reading
-from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.recording_layout import Layout, count_messages, read_layout
 from inspect_pipeline.recording_summary import load_record
+from inspect_pipeline.types import ChannelSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
     from pathlib import Path
 
     from inspect_pipeline.types import CameraChannel
-
-__all__ = [
-    "RUN_METADATA",
-    "ChannelSummary",
-    "Recording",
-    "iter_frames",
-    "open_recording",
-    "select_cameras",
-]
 
 _DIGEST_BYTES = 1 << 20
 _PLAUSIBLE_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100
 _WRONG_UNITS = {"seconds": 1, "milliseconds": 10**3, "microseconds": 10**6}
 _YEAR_NS = 365 * 86_400 * 10**9
 RUN_METADATA = "lsnet_pipe.run"  # name of the Metadata record that marks an annotated copy
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelSummary:
-    """A channel of a recording. `message_count` is None where neither statistics nor indexes tell."""
-
-    channel_id: int
-    topic: str
-    schema_name: str
-    schema_encoding: str
-    message_encoding: str
-    message_count: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +106,26 @@ class Recording:
         if self.strict:
             raise RecordingError(self.path, loss, STRICT_REMEDY)
         self.losses.append(loss)
+
+    def select_cameras(self, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:
+        """The cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
+        if topics is None:
+            if not self.camera_channels:
+                raise RecordingError(self.path, "no camera topic", self._what_it_has())
+            return self.camera_channels
+        images_by_topic = {c.topic: c for c in self.channels if is_image(c)}
+        for topic in topics:
+            if topic not in images_by_topic:
+                known = ", ".join(sorted(images_by_topic)) or "none"
+                raise RecordingError(self.path, f"no images on topic {topic}", f"its image topics: {known}")
+        return tuple(to_camera(c) for c in self.channels if c.topic in topics and is_image(c))
+
+    def _what_it_has(self) -> str:
+        """What a recording without a camera has instead: refused topics of images and why, or others."""
+        if self.refusals:
+            return "; ".join(f"{topic}: {reason}" for topic, reason in self.refusals.items())
+        topics = [channel.topic for channel in self.channels[:5]]
+        return f"its topics: {', '.join(topics) or 'none'}"
 
     def schema_data(self, channel_id: int) -> bytes:
         """The schema of a channel as the file has it; empty when it has none."""

@@ -7,16 +7,15 @@ from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from inspect_pipeline import images
-from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording_extents import MESSAGE_HEAD, Damage, message_entries, read_extent
 from inspect_pipeline.types import CameraChannel
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
-    from inspect_pipeline.recording import ChannelSummary, Recording
     from inspect_pipeline.recording_extents import RecordingFile
     from inspect_pipeline.recording_layout import Layout
+    from inspect_pipeline.types import ChannelSummary
 
 # Last parts of a topic that name the form of its images, not the camera.
 _FORMS = frozenset({"compressed", "raw", "image", "image_raw", "image_color", "image_compressed"})
@@ -41,10 +40,10 @@ def find_cameras(file: RecordingFile, layout: Layout, channels: Iterable[Channel
             video_ids.add(channel.channel_id)
         if reason := _refusal(channel, first):
             refusals[channel.topic] = reason
-        elif _is_image(channel):
+        elif is_image(channel):
             pictures.append(channel)
     taken = _one_topic_per_camera(pictures)
-    cameras = tuple(_to_camera(channel) for channel in pictures if channel.topic in taken)
+    cameras = tuple(to_camera(channel) for channel in pictures if channel.topic in taken)
     return Cameras(cameras, refusals, frozenset(video_ids))
 
 
@@ -60,25 +59,13 @@ def _one_topic_per_camera(pictures: Iterable[ChannelSummary]) -> Collection[str]
     return topics.values()
 
 
-def select_cameras(recording: Recording, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:
-    """The cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
-    if topics is None:
-        if not recording.camera_channels:
-            raise RecordingError(recording.path, "no camera topic", _what_it_has(recording))
-        return recording.camera_channels
-    images_by_topic = {c.topic: c for c in recording.channels if _is_image(c)}
-    for topic in topics:
-        if topic not in images_by_topic:
-            known = ", ".join(sorted(images_by_topic)) or "none"
-            raise RecordingError(recording.path, f"no images on topic {topic}", f"its image topics: {known}")
-    return tuple(_to_camera(c) for c in recording.channels if c.topic in topics and _is_image(c))
-
-
-def _is_image(channel: ChannelSummary) -> bool:
+def is_image(channel: ChannelSummary) -> bool:
+    """Whether the messages of a channel are images that can be read."""
     return images.is_image(channel.schema_name, channel.message_encoding)
 
 
-def _to_camera(channel: ChannelSummary) -> CameraChannel:
+def to_camera(channel: ChannelSummary) -> CameraChannel:
+    """A channel of images as a camera."""
     return CameraChannel(
         channel_id=channel.channel_id,
         topic=channel.topic,
@@ -98,7 +85,7 @@ def _camera_name(topic: str) -> str:
 
 def _refusal(channel: ChannelSummary, first: images.ImageMessage | None) -> str | None:
     """Why a channel of images is not processed, by its first one; one that cannot be read is no reason."""
-    if not _is_image(channel):
+    if not is_image(channel):
         is_alike = re.search(r"(Image|Video)$", channel.schema_name)
         return f"{channel.schema_name} in {channel.message_encoding} is not read" if is_alike else None
     return images.refusal(first, channel.topic) if first else None
@@ -106,7 +93,7 @@ def _refusal(channel: ChannelSummary, first: images.ImageMessage | None) -> str 
 
 def _first_image(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> images.ImageMessage | None:
     """The first message of a channel of images; None when it cannot be read, and of other channels."""
-    payload = _first_payload(file, layout, channel.channel_id) if _is_image(channel) else None
+    payload = _first_payload(file, layout, channel.channel_id) if is_image(channel) else None
     if payload is None:
         return None
     try:
@@ -128,11 +115,3 @@ def _first_payload(file: RecordingFile, layout: Layout, channel_id: int) -> memo
             _, start, end = entries[0]
             return memoryview(records)[start + MESSAGE_HEAD.size : end]
     return None
-
-
-def _what_it_has(recording: Recording) -> str:
-    """What a recording without a camera has instead: topics of images and why they are refused, or others."""
-    if recording.refusals:
-        return "; ".join(f"{topic}: {reason}" for topic, reason in recording.refusals.items())
-    topics = [channel.topic for channel in recording.channels[:5]]
-    return f"its topics: {', '.join(topics) or 'none'}"

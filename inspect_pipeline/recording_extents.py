@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
 MAX_CHUNK_BYTES = 256 << 20  # writers use 1 to 16 MiB; beyond this a length is damage or an attack
-STRICT_REMEDY = "with --no-strict the readable part is processed"
+STRICT_REMEDY = "without --strict the readable part is processed"
 _CHUNK_HEAD = struct.Struct(
     "<QQQII"
 )  # start, end, uncompressed size, uncompressed crc, length of compression

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from inspect_pipeline import images
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording_cameras import select_cameras
 from inspect_pipeline.recording_extents import STRICT_REMEDY, Damage, reading
 from inspect_pipeline.recording_layout import count_messages
 from inspect_pipeline.recording_merge import Message, iter_messages
@@ -41,7 +40,7 @@ def iter_frames(
     `every` are decoded, of a video also those they stand on. Raises RecordingError: at the call when there
     is no such camera, while iterating when nothing can be read, or anything is lost of a `strict` recording.
     """
-    cameras = select_cameras(recording, topics)
+    cameras = recording.select_cameras(topics)
     return _iter_frames(recording, cameras, every, start_ns, end_ns)
 
 

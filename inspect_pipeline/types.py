@@ -1,4 +1,4 @@
-"""The records that travel along the one path: camera channels, frames, and what was made of a recording."""
+"""The records that travel along the one path: channels, frames, and what was made of a recording."""
 
 from __future__ import annotations
 
@@ -10,6 +10,18 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSummary:
+    """A channel of a recording. `message_count` is None where neither statistics nor indexes tell."""
+
+    channel_id: int
+    topic: str
+    schema_name: str
+    schema_encoding: str
+    message_encoding: str
+    message_count: int | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -157,11 +157,6 @@ def _unknown_encoding(path: Path) -> None:
     make_recording(path, shots(2), encoding=odd)
 
 
-def _truncated(path: Path) -> None:
-    make_recording(path, shots(40))
-    os.truncate(path, path.stat().st_size // 2)
-
-
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -171,7 +166,6 @@ def _truncated(path: Path) -> None:
         (_missing, "there is no such file"),
         (_no_camera, "no camera topic"),
         (_unknown_encoding, "bson"),
-        (_truncated, "cut off"),
     ],
 )
 def test_what_cannot_be_processed_is_one_line(
@@ -185,6 +179,19 @@ def test_what_cannot_be_processed_is_one_line(
     assert words in outcome.err
     assert ";" in outcome.err  # what to do about it
     assert not list((tmp_path / "store").rglob("*.mcap"))
+
+
+def test_a_recording_that_is_cut_off(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(40))
+    os.truncate(tmp_path / "a.mcap", (tmp_path / "a.mcap").stat().st_size // 2)
+    outcome = run("process", "a.mcap", "--strict")
+    assert (outcome.exit_code, outcome.out, outcome.err.count("\n")) == (1, "", 1)
+    assert "cut off" in outcome.err
+    assert "without --strict" in outcome.err
+    outcome = run("process", "a.mcap", "--json")
+    result = json.loads(outcome.out)
+    assert (outcome.exit_code, result["status"]) == (0, "recovered")
+    assert 0 < result["n_frames"] < 40
 
 
 @pytest.mark.parametrize("command", ["process", "info"])

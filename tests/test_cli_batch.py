@@ -101,7 +101,7 @@ def test_a_night_as_machines_see_it(run: Callable[..., Outcome], tmp_path: Path)
 def test_options_from_a_file(run: Callable[..., Outcome], tmp_path: Path) -> None:
     (tmp_path / "night.toml").write_text(
         'inbox = ["inbox"]\nevery = 2\ntag = ["line=L12", "crew=b"]\nlimit = 1\nsince = 1970-01-01\n'
-        'store = "elsewhere"\nstrict = false\n'
+        'store = "elsewhere"\nstrict = true\n'
     )
     assert run("batch", "--config", "night.toml", "--limit", 2).exit_code == 3
     summary = json.loads((tmp_path / "elsewhere" / "summary.json").read_text())

@@ -117,7 +117,7 @@ def test_every_command_is_documented() -> None:
 
 def test_every_option_of_process_is_documented() -> None:
     text = " ".join(COMMANDS) + CLI
-    for option in ("--store", "--json", "--topic", "--every", "--start", "--end", "--force", "--no-strict"):
+    for option in ("--store", "--json", "--topic", "--every", "--start", "--end", "--force", "--strict"):
         assert option in text
     for option in ("--weights", "--scale", "--min-score"):
         assert option in text

@@ -64,8 +64,8 @@ def batch(
     ] = None,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Look at every N-th frame.")] = 1,
     strict: Annotated[
-        bool, typer.Option(help="Refuse a damaged recording, or process what can be read of it.")
-    ] = True,
+        bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
+    ] = False,
     weights: WeightsOption = "fast",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,

@@ -43,8 +43,8 @@ def process(
         int | None, typer.Option(parser=parse_time_ns, metavar="TIME", help="End time, not included.")
     ] = None,
     strict: Annotated[
-        bool, typer.Option(help="Refuse a damaged recording, or process what can be read of it.")
-    ] = True,
+        bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Process again what is in the store.")] = False,
     weights: WeightsOption = "fast",
     scale: ScaleOption = None,

@@ -29,7 +29,8 @@ from inspect_pipeline.annotations import (
     encode_image_annotations,
     image_annotations_schema,
 )
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.types import Frame
 from inspect_pipeline.writeback import annotated_copy
 from lsnet.segments import Detections, Lines, Segments

@@ -8,7 +8,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from inspect_pipeline.authoring import new_recording
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 
 if TYPE_CHECKING:
     from pathlib import Path

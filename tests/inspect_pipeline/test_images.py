@@ -9,7 +9,8 @@ import pytest
 from factories import ENCODINGS, RAW_ENCODINGS, RawPixels, encoded_picture, make_recording, number_of, picture
 
 from inspect_pipeline.images import ImageError, ImageMessage, decode, is_image, parse, refusal
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 
 STAMP_NS = 1_700_000_000_123_456_789
 

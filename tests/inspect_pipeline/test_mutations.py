@@ -16,7 +16,8 @@ from factories import RawPixels, make_recording, shots
 from mcap.writer import CompressionType
 
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.writeback import annotated_copy
 
 if TYPE_CHECKING:

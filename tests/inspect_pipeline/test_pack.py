@@ -17,7 +17,8 @@ from inspect_pipeline.commands.pack import pack as pack_command
 from inspect_pipeline.errors import InspectError
 from inspect_pipeline.pack import PackResult, pack
 from inspect_pipeline.poses import read_poses
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 
 if TYPE_CHECKING:
     from pathlib import Path

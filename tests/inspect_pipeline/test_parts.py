@@ -11,7 +11,8 @@ from rosbags.rosbag2 import Reader as BagReader
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.pack import PackResult, pack
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 
 if TYPE_CHECKING:
     from pathlib import Path

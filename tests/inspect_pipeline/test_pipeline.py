@@ -136,9 +136,9 @@ def test_a_selection_of_frames(tmp_path: Path, store: Store) -> None:
 def test_damage_is_refused_or_survived(tmp_path: Path, store: Store) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(40))
     os.truncate(path, path.stat().st_size * 2 // 3)
-    with pytest.raises(RecordingError, match="--no-strict"):
-        run(path, store)
-    result = run(path, store, strict=False)
+    with pytest.raises(RecordingError, match="without --strict the readable part"):
+        run(path, store, strict=True)
+    result = run(path, store)
     assert result.status == "recovered"
     assert 0 < result.n_frames < 40
     ((reason,),) = rows(store, "SELECT reason FROM flights")

@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from inspect_pipeline.attitude import Quaternion, YawPitchRoll, from_enu, from_ned, to_enu
 from inspect_pipeline.poses import Pose, PoseTrack, read_poses
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -10,7 +10,8 @@ from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording import iter_frames, open_recording, select_cameras
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -275,8 +276,8 @@ def test_why_images_are_refused_is_told(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_camera_in_two_forms_is_taken_once(tmp_path: Path) -> None:
     to_write = shots(5, "/left/image_raw/compressed") + shots(3, "/left/image_raw") + shots(4, "/right/image")
     recording = open_recording(make_recording(tmp_path / "a.mcap", to_write, encoding="ros2"))
-    assert [c.topic for c in select_cameras(recording)] == ["/left/image_raw/compressed", "/right/image"]
-    assert [c.topic for c in select_cameras(recording, ["/left/image_raw"])] == ["/left/image_raw"]
+    assert [c.topic for c in recording.select_cameras()] == ["/left/image_raw/compressed", "/right/image"]
+    assert [c.topic for c in recording.select_cameras(["/left/image_raw"])] == ["/left/image_raw"]
 
 
 def test_all_channels_of_a_topic_are_read(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from mcap.reader import make_reader
 from mcap.writer import IndexType, Writer
 
 from inspect_pipeline.annotations import FrameAnnotator
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.writeback import annotated_copy, sidecar
 from lsnet.segments import Detections, Lines, Segments
 
@@ -115,7 +116,8 @@ def test_the_typescript_reader_agrees(node_folder: Path, tmp_path: Path) -> None
 MEASURE = """
 import resource, sys
 from pathlib import Path
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.writeback import annotated_copy
 
 source, target = Path(sys.argv[1]), Path(sys.argv[2])

@@ -9,7 +9,8 @@ import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.video import is_key_frame
 
 if TYPE_CHECKING:

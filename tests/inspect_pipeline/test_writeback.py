@@ -11,7 +11,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording import iter_frames, open_recording
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.writeback import AnnotationWriter, annotated_copy, sidecar
 
 if TYPE_CHECKING:

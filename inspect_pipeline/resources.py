@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 
 # Of the index, in order; a file that was released never changes.
-MIGRATIONS = ("0001_initial.sql", "0002_runs.sql")
+MIGRATIONS = ("0001_initial.sql", "0002_runs.sql", "0003_inspection.sql")
 
 
 def read_schema(name: str) -> str:

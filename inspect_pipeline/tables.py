@@ -1,6 +1,6 @@
 """The tables: made by numbered migrations, and filled with the rows of one flight, frame by frame.
 
-The rows become frames.parquet, segments.parquet and lines.parquet. They wait in NumPy columns,
+The rows become frames, segments, lines and tracks.parquet. They wait in NumPy columns,
 then in an in-memory DuckDB that spills into the flight's folder, so memory stays bounded however many
 segments a flight has.
 """
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Columns = dict[str, "NDArray[Any]"]
 
-ROW_TABLES = ("frames", "segments", "lines")
+ROW_TABLES = ("frames", "segments", "lines", "tracks")
 
 _FLUSH_ROWS = 65_536
 _CONFIG: dict[str, str | bool | int | float | list[str]] = {

@@ -45,7 +45,7 @@ def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
 
 
 class RecordingAuthor:
-    """Appends messages to a new recording. A message's header stamp, log time and publish time are one."""
+    """Appends messages to a new recording; a header stamp, log time and publish time are one if not given."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
@@ -54,10 +54,22 @@ class RecordingAuthor:
         self._copied_schema_ids: dict[tuple[str, str, bytes], int] = {}
         self._copied_channel_ids: dict[tuple[str, str, int], int] = {}
 
-    def write_image(self, topic: str, time_ns: int, frame_id: str, data: bytes, image_format: str) -> None:
-        """Append an encoded image as foxglove.CompressedImage; `image_format` is "jpeg", "png" or "webp"."""
+    def write_image(
+        self,
+        topic: str,
+        time_ns: int,
+        frame_id: str,
+        data: bytes,
+        image_format: str,
+        *,
+        stamp_ns: int | None = None,
+    ) -> None:
+        """Append an encoded image as foxglove.CompressedImage; `image_format` is "jpeg", "png" or "webp".
+
+        stamp_ns: the image's own stamp where the camera's clock is another.
+        """
         message = CompressedImage(frame_id=frame_id, data=data, format=image_format)
-        message.timestamp.FromNanoseconds(time_ns)
+        message.timestamp.FromNanoseconds(time_ns if stamp_ns is None else stamp_ns)
         self._write(topic, time_ns, message)
 
     def write_video(self, topic: str, time_ns: int, frame_id: str, data: bytes, codec: str) -> None:
@@ -67,11 +79,19 @@ class RecordingAuthor:
         self._write(topic, time_ns, message)
 
     def write_attitude(
-        self, topic: str, time_ns: int, parent_frame_id: str, child_frame_id: str, rotation: Quaternion
+        self,
+        topic: str,
+        time_ns: int,
+        parent_frame_id: str,
+        child_frame_id: str,
+        rotation: Quaternion,
+        *,
+        translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
-        """Append the rotation of a frame in its parent as foxglove.FrameTransform, without translation."""
+        """Append the rotation of a frame in its parent, and its place, as foxglove.FrameTransform."""
         message = FrameTransform(parent_frame_id=parent_frame_id, child_frame_id=child_frame_id)
         message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z = rotation
+        message.translation.x, message.translation.y, message.translation.z = translation_m
         message.timestamp.FromNanoseconds(time_ns)
         self._write(topic, time_ns, message)
 

@@ -1,66 +1,43 @@
 """Recordings of flights that never were: a drawn line over a drawn landscape, and where its conductors are.
 
-The drone flies along the line, above it and to its side, and looks ahead and down. Images, positions and the
-camera's calibration go into the recording; the truth, in pixels, into a JSON file beside it. The same options
-give the same pictures.
+Images, positions, attitudes and the camera's calibration go into the recording; the truth of `simulate_truth`
+into a JSON file beside it. The same options give the same pictures.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
+from inspect_pipeline.attitude import YawPitchRoll, to_enu
 from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import OutputError
 from inspect_pipeline.simulate_ground import draw_ground
+from inspect_pipeline.simulate_options import SimulationOptions
+from inspect_pipeline.simulate_plan import POSE_PERIOD_NS, START_NS, plan_flight
 from inspect_pipeline.simulate_render import Landscape, render
-from inspect_pipeline.simulate_scene import (
-    Camera,
-    conductors,
-    look,
-    plant_trees,
-    pole_positions,
-    visible_runs,
-)
+from inspect_pipeline.simulate_scene import plant_trees
+from inspect_pipeline.simulate_truth import compass_deg, to_geodetic, truth_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from inspect_pipeline.authoring import RecordingAuthor
+    from inspect_pipeline.simulate_plan import FlightPlan
+    from inspect_pipeline.simulate_scene import Camera
+    from inspect_pipeline.simulate_types import FlightTruth, FrameTruth
 
-IMAGE_TOPIC, CALIBRATION_TOPIC, LOCATION_TOPIC = "/camera/image", "/camera/calibration", "/drone/location"
-_START_NS = 1_777_887_000 * 10**9  # 2026-05-04 09:30 UTC
-_GPS_PERIOD_NS = 100_000_000
-_SPEED_M_S = 5.0
-_HEIGHT_M, _SIDE_M = 23.0, -7.0
-_VIEW_M = (-5.0, 75.0)  # what the camera may see, behind and ahead of the drone
-_ORIGIN_DEG, _GROUND_M = (52.09, 5.12), 43.0  # of x = y = z = 0
-_METRES_PER_DEG = 111_320.0  # of latitude
+__all__ = ["SimulationOptions", "simulate_flight"]
+
+IMAGE_TOPIC, CALIBRATION_TOPIC = "/camera/image", "/camera/calibration"
+LOCATION_TOPIC, VEHICLE_TOPIC, CAMERA_TOPIC = "/drone/location", "/drone/attitude", "/camera/attitude"
+_VIEW_M = (-5.0, 75.0)  # where trees are planted, behind and ahead of the flight
+_ARM_BEYOND_M = 0.2
 _JPEG_QUALITY = 92
-_TRUTH_STEP_PX = 12.0
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationOptions:
-    """How long, how often, how large (height, width), and which landscape."""
-
-    seconds: float = 20.0
-    fps: float = 2.0
-    image_size: tuple[int, int] = (720, 1280)
-    seed: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Where the drone is, in m, and where its camera looks."""
-
-    position: tuple[float, float, float]
-    yaw_rad: float
-    pitch_rad: float
 
 
 def simulate_flight(target: Path, options: SimulationOptions) -> Path:
@@ -69,11 +46,12 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     Raises OutputError when the target exists or cannot be written.
     """
     truth_path = target.with_suffix(".truth.json")
+    plan = plan_flight(options)
+    truth = truth_of(plan)
     try:
         with new_recording(target) as author:
-            frames = _fly(author, options)
-        truth = {"image_topic": IMAGE_TOPIC, "options": asdict(options), "frames": frames}
-        truth_path.write_text(json.dumps(truth) + "\n", encoding="utf-8")
+            _fly(author, plan, truth)
+        truth_path.write_text(json.dumps(_to_json(truth)) + "\n", encoding="utf-8")
     except FileExistsError as error:
         raise OutputError(target, "it exists already", "remove it or name another file") from error
     except OSError as error:
@@ -81,84 +59,62 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     return truth_path
 
 
-def _fly(author: RecordingAuthor, options: SimulationOptions) -> list[dict[str, Any]]:
-    """Write all messages in the order of time; return the truth of each frame."""
-    rng = np.random.default_rng(options.seed)
-    landscape = _make_landscape(rng, options.seconds)
-    frames = []
-    next_gps_ns = 0
-    for i in range(max(1, round(options.seconds * options.fps))):
-        time_ns = round(i / options.fps * 1e9)
-        while next_gps_ns <= time_ns:
-            _write_location(author, next_gps_ns)
-            next_gps_ns += _GPS_PERIOD_NS
-        camera = _camera(time_ns, options.image_size)
-        _write_calibration(author, time_ns, camera)
-        _write_image(author, time_ns, render(landscape, camera, rng))
-        frames.append(
-            {"frame_idx": i, "log_time_ns": _START_NS + time_ns, "lines": _truth(landscape, camera)}
-        )
-    return frames
+def _fly(author: RecordingAuthor, plan: FlightPlan, truth: FlightTruth) -> None:
+    """Write all messages in the order of time."""
+    rng = np.random.default_rng(plan.options.seed)
+    landscape = _make_landscape(rng, plan)
+    fixes_ns = set(plan.position_times_ns())
+    next_ns = 0
+    for frame in truth.frames:
+        time_ns = frame.log_time_ns - START_NS
+        while next_ns <= time_ns:
+            _write_attitudes(author, plan, next_ns)
+            if next_ns in fixes_ns:
+                _write_location(author, plan, next_ns)
+            next_ns += POSE_PERIOD_NS
+        if not frame.dropped:
+            camera = plan.camera(time_ns)
+            _write_calibration(author, frame, camera)
+            _write_image(author, frame, render(landscape, camera, frame.quality, rng))
 
 
-def _make_landscape(rng: np.random.Generator, seconds: float) -> Landscape:
-    first_m, last_m = _VIEW_M[0], _SPEED_M_S * seconds + _VIEW_M[1]
+def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
+    flown_x = [plan.pose(shot.time_ns).position[0] for shot in plan.shots()]
     sun = np.array([-0.45, -0.5, 0.74])
     sun /= np.linalg.norm(sun)
     return Landscape(
         ground=draw_ground(rng),
-        trees=plant_trees(rng, first_m, last_m, sun),
-        conductors=conductors(first_m, last_m),
-        poles=pole_positions(first_m, last_m).tolist(),
+        trees=plant_trees(rng, min(flown_x) + _VIEW_M[0], max(flown_x) + _VIEW_M[1], sun),
+        conductors=(*plan.line.foreign, *plan.line.conductors),
+        poles=plan.line.structures_x.tolist(),
+        crossarm_half_m=plan.line.half_width_m + _ARM_BEYOND_M,
         sun=sun,
     )
 
 
-def pose_at(time_ns: int) -> Pose:
-    """Where the drone is: steady along the line, swaying a little."""
-    t = time_ns / 1e9
-    return Pose(
-        position=(
-            _SPEED_M_S * t,
-            _SIDE_M + 0.5 * np.sin(0.5 * t),
-            _HEIGHT_M + 0.4 * np.sin(0.37 * t + 1),
-        ),
-        yaw_rad=np.deg2rad(14 + 2.5 * np.sin(0.43 * t)),
-        pitch_rad=np.deg2rad(47 + 1.5 * np.sin(0.6 * t + 2)),
-    )
+def _to_json(truth: FlightTruth) -> dict[str, Any]:
+    """The truth as JSON has it, pixels to a hundredth."""
+
+    def plain(value: object) -> object:
+        return np.round(value, 2).tolist() if isinstance(value, np.ndarray) else value
+
+    fields = asdict(truth, dict_factory=lambda items: {name: plain(value) for name, value in items})
+    return {"image_topic": IMAGE_TOPIC, **fields}
 
 
-def _camera(time_ns: int, image_size: tuple[int, int]) -> Camera:
-    pose = pose_at(time_ns)
-    focal_px = 0.95 * image_size[1]
-    return look(np.array(pose.position), pose.yaw_rad, pose.pitch_rad, focal_px, image_size)
-
-
-def _truth(landscape: Landscape, camera: Camera) -> list[dict[str, Any]]:
-    """The visible conductors as polylines in pixels, with their width in pixels at each point."""
-    lines = []
-    for conductor in landscape.conductors:
-        for pixels, widths_px in visible_runs(camera, conductor):
-            walked_px = np.concatenate(([0.0], np.hypot(*np.diff(pixels, axis=0).T).cumsum()))
-            _, kept = np.unique(walked_px // _TRUTH_STEP_PX, return_index=True)
-            kept = np.union1d(kept, [len(pixels) - 1])
-            lines.append(
-                {"points": pixels[kept].round(2).tolist(), "width_px": widths_px[kept].round(2).tolist()}
-            )
-    return lines
-
-
-def _write_image(author: RecordingAuthor, time_ns: int, image: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
+def _write_image(
+    author: RecordingAuthor, frame: FrameTruth, image: np.ndarray[Any, np.dtype[np.uint8]]
+) -> None:
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
-    author.write_image(IMAGE_TOPIC, _START_NS + time_ns, "camera", data, "jpeg")
+    author.write_image(IMAGE_TOPIC, frame.log_time_ns, "camera", data, "jpeg", stamp_ns=frame.stamp_ns)
 
 
-def _write_calibration(author: RecordingAuthor, time_ns: int, camera: Camera) -> None:
+def _write_calibration(author: RecordingAuthor, frame: FrameTruth, camera: Camera) -> None:
     height, width = camera.image_size
     author.write_calibration(
         CALIBRATION_TOPIC,
-        _START_NS + time_ns,
+        frame.log_time_ns,
         "camera",
         image_size=camera.image_size,
         focal_px=(camera.focal_px, camera.focal_px),
@@ -166,14 +122,25 @@ def _write_calibration(author: RecordingAuthor, time_ns: int, camera: Camera) ->
     )
 
 
-def _write_location(author: RecordingAuthor, time_ns: int) -> None:
-    x, y, z = pose_at(time_ns).position
-    latitude_deg, longitude_deg = _ORIGIN_DEG
+def _write_location(author: RecordingAuthor, plan: FlightPlan, time_ns: int) -> None:
+    latitude_deg, longitude_deg, altitude_m = to_geodetic(plan, np.array(plan.pose(time_ns).position))
     author.write_location(
         LOCATION_TOPIC,
-        _START_NS + time_ns,
+        START_NS + time_ns,
         "drone",
-        latitude_deg=latitude_deg + y / _METRES_PER_DEG,
-        longitude_deg=longitude_deg + x / (_METRES_PER_DEG * np.cos(np.deg2rad(latitude_deg))),
-        altitude_m=_GROUND_M + z,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        altitude_m=altitude_m,
     )
+
+
+def _write_attitudes(author: RecordingAuthor, plan: FlightPlan, time_ns: int) -> None:
+    pose = plan.pose(time_ns)
+    vehicle = YawPitchRoll(compass_deg(plan, pose.heading_rad), 0.0, 0.0)
+    camera = YawPitchRoll(compass_deg(plan, pose.yaw_rad), -float(np.rad2deg(pose.pitch_rad)), 0.0)
+    above_m = (0.0, 0.0, pose.position[2])
+    for topic, child, turns in (
+        (VEHICLE_TOPIC, "base_link", vehicle),
+        (CAMERA_TOPIC, "camera_link", camera),
+    ):
+        author.write_attitude(topic, START_NS + time_ns, "map", child, to_enu(turns), translation_m=above_m)

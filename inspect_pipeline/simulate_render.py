@@ -9,19 +9,16 @@ import cv2
 import numpy as np
 
 from inspect_pipeline.simulate_ground import TILE_M, ground_to_texels
-from inspect_pipeline.simulate_scene import (
-    CROSSARM_HALF_M,
-    POLE_HEIGHT_M,
-    Camera,
-    Conductor,
-    Tree,
-    visible_runs,
-)
+from inspect_pipeline.simulate_line import POLE_HEIGHT_M
+from inspect_pipeline.simulate_scene import Camera, Tree, visible_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
+
+    from inspect_pipeline.simulate_line import Conductor
+    from inspect_pipeline.simulate_types import Quality
 
     Image = NDArray[np.uint8]
 
@@ -42,34 +39,41 @@ _METAL = np.array((1.0, 0.99, 0.97))  # how a conductor's light is coloured
 # Strokes of a conductor, dark rim to bright top: share of the width, shift to the light, brightness.
 _ROUND = ((1.0, 0.0, 62), (0.78, 0.06, 104), (0.52, 0.1, 148), (0.26, 0.13, 186))
 _NOISE = 2.5
+_SPOILED: dict[Quality, tuple[float, float]] = {  # blur in px, gain
+    "blurred": (6.0, 1.0),
+    "dark": (0.6, 0.12),
+    "overexposed": (0.6, 3.5),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """What is drawn: the ground's tile, the trees on it, the conductors and x of their poles.
+    """What is drawn: the ground's tile, the trees on it, the conductors from below, x of their poles.
 
-    sun: (3,) unit vector towards the sun.
+    crossarm_half_m: from a pole to the end of its arm. sun: (3,) unit vector towards the sun.
     """
 
     ground: Image
     trees: Sequence[Tree]
     conductors: Sequence[Conductor]
     poles: Sequence[float]
+    crossarm_half_m: float
     sun: NDArray[np.float64]
 
 
-def render(landscape: Landscape, camera: Camera, rng: np.random.Generator) -> Image:
-    """The RGB image (height, width, 3) the camera takes, with blur and noise."""
+def render(landscape: Landscape, camera: Camera, quality: Quality, rng: np.random.Generator) -> Image:
+    """The RGB image (height, width, 3) the camera takes, with blur and noise, good or spoiled."""
     image = _draw_ground(landscape, camera)
     for pole_x in landscape.poles:
         _draw_pole_shadow(image, camera, pole_x, landscape.sun)
     for tree in _far_to_near(landscape.trees, camera):
         _draw_tree(image, camera, tree, landscape.sun)
     for pole_x in reversed(landscape.poles):
-        _draw_pole(image, camera, pole_x)
+        _draw_pole(image, camera, pole_x, landscape.crossarm_half_m)
     sharp = _draw_conductors(image, camera, landscape.conductors)
+    sigma_px, gain = _SPOILED.get(quality, (0.6, 1.0))
     noise = _NOISE * rng.standard_normal(image.shape, np.float32)
-    taken: Image = np.clip(cv2.GaussianBlur(sharp, (0, 0), 0.6) + noise, 0, 255).astype(np.uint8)
+    taken: Image = np.clip(gain * cv2.GaussianBlur(sharp, (0, 0), sigma_px) + noise, 0, 255).astype(np.uint8)
     return taken
 
 
@@ -144,11 +148,11 @@ def _draw_pole_shadow(image: Image, camera: Camera, x: float, sun: NDArray[np.fl
     _darken(image, shadow)
 
 
-def _draw_pole(image: Image, camera: Camera, x: float) -> None:
+def _draw_pole(image: Image, camera: Camera, x: float, arm_half_m: float) -> None:
     """A wooden pole with a crossarm."""
     pole = np.array([[x, 0, 0], [x, 0, POLE_HEIGHT_M]])
     _draw_beam(image, camera, pole, 0.28, _WOOD)
-    arm = np.array([[x, -CROSSARM_HALF_M, 12.1], [x, CROSSARM_HALF_M, 12.1]])
+    arm = np.array([[x, -arm_half_m, 12.1], [x, arm_half_m, 12.1]])
     _draw_beam(image, camera, arm, 0.16, _WOOD)
 
 
@@ -178,8 +182,8 @@ def _draw_conductors(image: Image, camera: Camera, conductors: Iterable[Conducto
     height, width = camera.image_size
     fine = np.zeros((height * _FINER, width * _FINER, 2), np.uint8)  # brightness, coverage
     for conductor in conductors:
-        for pixels, widths_px in visible_runs(camera, conductor):
-            _draw_strokes(fine, pixels * _FINER, widths_px * _FINER)
+        for part in visible_parts(camera, conductor):
+            _draw_strokes(fine, part.pixels * _FINER, part.widths_px * _FINER)
     averaged = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
     covered: NDArray[np.float32] = image * (1 - averaged[..., 1:] / 255) + averaged[..., :1] * _METAL
     return covered.astype(np.float32, copy=False)
@@ -187,9 +191,7 @@ def _draw_conductors(image: Image, camera: Camera, conductors: Iterable[Conducto
 
 def _draw_strokes(fine: Image, pixels: NDArray[np.float64], widths_px: NDArray[np.float64]) -> None:
     """A round conductor along (N, 2) fine pixels: strokes of falling width and rising brightness."""
-    kept = np.unique(np.append(np.arange(0, len(pixels), 20), len(pixels) - 1))
-    pixels, widths_px = pixels[kept], widths_px[kept]
-    along = np.gradient(pixels, axis=0) if len(pixels) > 1 else np.ones_like(pixels)
+    along = np.gradient(pixels, axis=0)
     up = np.column_stack((along[:, 1], -along[:, 0])) / np.maximum(np.hypot(*along.T), 1e-6)[:, np.newaxis]
     up *= np.where(up[:, 1:] > 0, -1, 1)
     for share, shift, brightness in _ROUND:

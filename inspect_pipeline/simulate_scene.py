@@ -1,4 +1,4 @@
-"""The drawn world: a camera, conductors between poles, trees. In m: x along the line, y left, z up."""
+"""The drawn world: a camera, what it sees of conductors, trees. In m: x along the line, y left, z up."""
 
 from __future__ import annotations
 
@@ -10,27 +10,12 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from inspect_pipeline.simulate_line import Conductor
+
     Floats = NDArray[np.float64]
 
-SPAN_M = 55.0
-POLE_HEIGHT_M = 12.5
-CROSSARM_HALF_M = 1.8
-_CONDUCTORS = (
-    (-1.6, 12.3, 0.045),
-    (0.0, 12.9, 0.045),
-    (1.6, 12.3, 0.045),
-    (0.35, 9.2, 0.06),
-)  # y, z, diameter
-_SAG_M = 1.1
-_SAMPLE_M = 0.02
 _NEAREST_M = 1.0
-
-
-class Conductor(NamedTuple):
-    """Points (N, 3) in m along one conductor, and its diameter."""
-
-    points: Floats
-    diameter_m: float
+_FARTHEST_M = 70.0  # along the line: beyond it nothing is told apart
 
 
 class Tree(NamedTuple):
@@ -63,51 +48,87 @@ class Camera:
         intrinsics = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
         return intrinsics @ np.column_stack((self.rotation, -self.rotation @ self.position))
 
+    def sees(self, pixels: Floats, depths: Floats) -> NDArray[np.bool_]:
+        """Which of projected points are inside the image and not too near."""
+        height, width = self.image_size
+        x, y = pixels.T
+        seen: NDArray[np.bool_] = (depths > _NEAREST_M) & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
+        return seen
+
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """(N, 2) pixels and (N,) depths in m of (N, 3) points; the pixels mean nothing behind the camera."""
-        projected = np.column_stack((points, np.ones(len(points)))) @ self.matrix.T
-        depths = projected[:, 2]
-        return projected[:, :2] / np.where(np.abs(depths) < 1e-9, 1e-9, depths)[:, np.newaxis], depths
+        height, width = self.image_size
+        seen = (points - self.position) @ self.rotation.T
+        depths = seen[:, 2]
+        scale = self.focal_px / np.where(np.abs(depths) < 1e-9, 1e-9, depths)
+        return seen[:, :2] * scale[:, np.newaxis] + (width / 2, height / 2), depths
 
 
-def look(
-    position: Floats, yaw_rad: float, pitch_rad: float, focal_px: float, size: tuple[int, int]
-) -> Camera:
-    """A camera without roll that looks along x, turned left by yaw and down by pitch."""
-    ahead = np.array(
-        [np.cos(yaw_rad) * np.cos(pitch_rad), np.sin(yaw_rad) * np.cos(pitch_rad), -np.sin(pitch_rad)]
-    )
-    right = np.array([np.sin(yaw_rad), -np.cos(yaw_rad), 0.0])
-    return Camera(position, np.stack((right, np.cross(ahead, right), ahead)), focal_px, size)
+class Gaze(NamedTuple):
+    """Which way a camera looks from x: turned left by yaw, down by pitch, then rolled to the right."""
+
+    yaw_rad: float
+    pitch_rad: float
+    roll_rad: float = 0.0
 
 
-def pole_positions(first_m: float, last_m: float) -> Floats:
-    """Where along x the poles between two x stand."""
-    return np.arange(np.ceil(first_m / SPAN_M), np.floor(last_m / SPAN_M) + 1) * SPAN_M
+def look(position: Floats, gaze: Gaze, focal_px: float, size: tuple[int, int]) -> Camera:
+    """A camera at (3,) m, of an image of (height, width)."""
+    (sin_y, sin_p, sin_r), (cos_y, cos_p, cos_r) = np.sin(gaze), np.cos(gaze)
+    ahead = np.array([cos_y * cos_p, sin_y * cos_p, -sin_p])
+    level = np.array([sin_y, -cos_y, 0.0])
+    under = np.array([-sin_p * cos_y, -sin_p * sin_y, -cos_p])
+    right, down = level * cos_r + under * sin_r, under * cos_r - level * sin_r
+    return Camera(position, np.stack((right, down, ahead)), focal_px, size)
 
 
-def conductors(first_m: float, last_m: float) -> list[Conductor]:
-    """The conductors between two x: hanging as parabolas, which catenaries this flat are to a centimetre."""
-    x = np.arange(first_m, last_m, _SAMPLE_M)
-    along = x / SPAN_M % 1
-    drop = 4 * _SAG_M * along * (1 - along)
-    return [
-        Conductor(np.column_stack((x, np.full_like(x, y), z - drop)), diameter)
-        for y, z, diameter in _CONDUCTORS
-    ]
+def near(camera: Camera, points: Floats) -> slice:
+    """Which of (N, 3) points in the order of x are near enough to be told apart."""
+    x = camera.position[0]
+    first, last = np.searchsorted(points[:, 0], (x - _FARTHEST_M, x + _FARTHEST_M)).tolist()
+    return slice(first, last)
 
 
-def visible_runs(camera: Camera, conductor: Conductor) -> list[tuple[Floats, Floats]]:
-    """The parts of a conductor inside the image: (N, 2) pixels and (N,) widths in pixels of each."""
-    pixels, depths = camera.project(conductor.points)
-    height, width = camera.image_size
-    is_inside = (depths > _NEAREST_M) & np.all((pixels >= 0) & (pixels <= (width, height)), axis=1)
-    edges = np.flatnonzero(np.diff(is_inside, prepend=False, append=False))
-    return [
-        (pixels[first:last], conductor.diameter_m * camera.focal_px / depths[first:last])
-        for first, last in edges.reshape(-1, 2)
-        if last - first > 1
-    ]
+class VisiblePart(NamedTuple):
+    """A part of a conductor inside the image: its points' numbers [first, last), pixels (N, 2), widths (N,).
+
+    The pixels begin and end at the image's border where the conductor goes on beyond it.
+    """
+
+    first: int
+    last: int
+    pixels: Floats
+    widths_px: Floats
+
+
+def visible_parts(camera: Camera, conductor: Conductor) -> list[VisiblePart]:
+    """What the camera sees of a conductor that is there."""
+    window = near(camera, conductor.points)
+    offset = window.start
+    is_there = conductor.is_there[window]
+    pixels, depths = camera.project(conductor.points[window])
+    edges = np.flatnonzero(
+        np.diff(is_there & camera.sees(pixels, depths), prepend=False, append=False)
+    ).reshape(-1, 2)
+    parts = []
+    for first, last in edges.tolist():
+        kept = slice(first, last)
+        shown, widths_px = pixels[kept].copy(), conductor.diameter_m * camera.focal_px / depths[kept]
+        for inside, outside, end in ((first, first - 1, 0), (last - 1, last, -1)):
+            if 0 <= outside < len(pixels) and is_there[outside] and depths[outside] > _NEAREST_M:
+                shown[end] = _at_border(pixels[inside], pixels[outside], camera.image_size)
+        if last - first > 1:
+            parts.append(VisiblePart(offset + first, offset + last, shown, widths_px))
+    return parts
+
+
+def _at_border(inside: Floats, outside: Floats, image_size: tuple[int, int]) -> Floats:
+    """Where the way from a point in the image to one beyond it leaves the image."""
+    step = outside - inside
+    border = np.where(step > 0, image_size[::-1], 0.0)
+    shares = np.divide(border - inside, step, out=np.full(2, np.inf), where=step != 0)
+    left: Floats = inside + max(0.0, float(shares.min())) * step
+    return left
 
 
 def plant_trees(rng: np.random.Generator, first_m: float, last_m: float, sun: Floats) -> list[Tree]:

@@ -73,9 +73,11 @@ class SpanView:
 class FrameTruth:
     """A frame, or one that was dropped (`frame_idx` None: the recording does not have it).
 
-    alt_m is ellipsoidal, height_m above the ground. heading_deg is that of the vehicle. Camera angles are
-    those of the world: yaw clockwise from north, pitch positive upwards, roll positive to the right.
-    image_size is (height, width). pose_age_ms is the age of the last recorded pose, None before the first.
+    The pose is the last one recorded, and pose_age_ms that of its position, None before the first: it goes
+    stale in a gap, and does not tell of a camera that slipped in its mount. alt_m is ellipsoidal, height_m
+    above the ground. heading_deg is that of the vehicle. Camera angles are those of the world: yaw clockwise
+    from north, pitch positive upwards, roll positive to the right. image_size is (height, width).
+    lines, views: what the picture truly shows.
     """
 
     frame_idx: int | None
@@ -117,9 +119,10 @@ class SeenInterval:
 class FaultTruth:
     """A planted fault: start_ns and end_ns are the log times of the first and the last frame that show it.
 
-    A fault of the line is shown where at least half as much of it is visible as in the frame that shows
-    most (a tenth, for a crossing line). A dropout, clock step or orientation jump lies between the last
-    frame before and the first frame after; a gap of positions between their last and next message.
+    A fault of the line is shown where at least half as much of it is visible as in the frame that shows most
+    (a tenth, for a crossing line), in the longest run of frames where there are several. A dropout, clock
+    step or orientation jump lies between the last frame before and the first frame after; a gap of positions
+    between their last and next message.
     """
 
     kind: FaultKind
@@ -131,7 +134,7 @@ class FaultTruth:
 
 @dataclass(frozen=True, slots=True)
 class FlightTruth:
-    """Everything that is true of a flight. span_coverage: share of each span's axis that any frame shows."""
+    """Everything that is true of a flight. span_coverage: share of each span's axis in any good frame."""
 
     options: SimulationOptions
     frames: tuple[FrameTruth, ...]

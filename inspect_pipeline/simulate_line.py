@@ -1,0 +1,151 @@
+"""The drawn power line: poles in a row, and the conductors between them, which hang as catenaries.
+
+In m: x along the line, y left, z up. Structure k stands at x = k * SPAN_M, y = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+SPAN_M = 55.0
+POLE_HEIGHT_M = 12.5
+SAMPLE_M = 0.25
+_SAG_M = 1.1
+_SPACING_M, _BUNDLE_M = 1.6, 0.4
+_ARM_M, _RAISED_M = 12.3, 0.6  # where phases hang; the middle one of three hangs higher
+_NEUTRAL_Y_Z_M = (0.35, 9.2)
+_PHASE_DIAMETER_M, _NEUTRAL_DIAMETER_M = 0.045, 0.06
+_FOREIGN_Z_M, _FOREIGN_HALF_M, _FOREIGN_DIAMETER_M = 6.5, 40.0, 0.045
+
+
+class Attachment(NamedTuple):
+    """Where one conductor hangs at every structure."""
+
+    conductor_id: str
+    y: float
+    z: float
+    diameter_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conductor:
+    """Points (N, 3) along a conductor; is_there (N,) is False where it should hang but does not."""
+
+    conductor_id: str
+    points: Floats
+    is_there: NDArray[np.bool_]
+    diameter_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PowerLine:
+    """Structures by number, from `first`; conductors sampled every SAMPLE_M of x from the first to the last.
+
+    foreign: conductors of other lines that cross it.
+    """
+
+    first: int
+    n_structures: int
+    conductors: tuple[Conductor, ...]
+    foreign: tuple[Conductor, ...] = ()
+
+    @property
+    def structures_x(self) -> Floats:
+        """Where along x they stand."""
+        return np.arange(self.first, self.first + self.n_structures, dtype=np.float64) * SPAN_M
+
+    @property
+    def half_width_m(self) -> float:
+        """From the middle of the line to its outermost conductor."""
+        return float(max(np.abs(conductor.points[0, 1]) for conductor in self.conductors))
+
+    def __getitem__(self, conductor_id: str) -> Conductor:
+        return next(c for c in self.conductors if c.conductor_id == conductor_id)
+
+    def span_numbers(self, x: Floats) -> NDArray[np.int64]:
+        """Which span, from 0, each x lies in."""
+        numbers = np.floor(x / SPAN_M).astype(np.int64) - self.first
+        return np.clip(numbers, 0, self.n_structures - 2)
+
+
+def hang_line(first: int, n_structures: int, n_phases: int, n_bundle: int) -> PowerLine:
+    """A line without faults; raises ValueError for fewer than two structures or one phase or wire."""
+    if n_structures < 2 or n_phases < 1 or n_bundle < 1:
+        raise ValueError("a line has at least two structures, a phase and a wire in its bundle")
+    n_samples = round((n_structures - 1) * SPAN_M / SAMPLE_M) + 1
+    x = first * SPAN_M + np.arange(n_samples, dtype=np.float64) * SAMPLE_M
+    drop = _catenary_drop(x / SPAN_M % 1)
+    return PowerLine(
+        first,
+        n_structures,
+        tuple(
+            Conductor(
+                place.conductor_id,
+                np.column_stack((x, np.full_like(x, place.y), place.z - drop)),
+                np.ones(len(x), bool),
+                place.diameter_m,
+            )
+            for place in _attachments(n_phases, n_bundle)
+        ),
+    )
+
+
+def _attachments(n_phases: int, n_bundle: int) -> list[Attachment]:
+    """Phases L1, L2, ... from right to left, each of wires a, b, ...; the neutral N below them."""
+    places = []
+    for phase in range(n_phases):
+        y = (phase - (n_phases - 1) / 2) * _SPACING_M
+        z = _ARM_M + (_RAISED_M if n_phases == 3 and phase == 1 else 0.0)
+        for wire in range(n_bundle):
+            name = f"L{phase + 1}" + (chr(ord("a") + wire) if n_bundle > 1 else "")
+            shift = (wire - (n_bundle - 1) / 2) * _BUNDLE_M
+            places.append(Attachment(name, y + shift, z, _PHASE_DIAMETER_M))
+    return [*places, Attachment("N", *_NEUTRAL_Y_Z_M, _NEUTRAL_DIAMETER_M)]
+
+
+def _catenary_drop(along: Floats) -> Floats:
+    """How far below its ends a conductor hangs, at shares of the span from 0 to 1."""
+    half_m = SPAN_M / 2
+    # z = a cosh(x / a) sags by a (cosh(L / 2a) - 1), and less the larger a is.
+    a = brentq(lambda a: a * (np.cosh(half_m / a) - 1) - _SAG_M, half_m, 1e3 * SPAN_M)
+    drop: Floats = a * (np.cosh(half_m / a) - np.cosh((along * SPAN_M - half_m) / a))
+    return drop
+
+
+def remove_stretch(line: PowerLine, conductor_id: str, from_x: float, to_x: float) -> PowerLine:
+    """The line without a part of a conductor."""
+    conductor = line[conductor_id]
+    x = conductor.points[:, 0]
+    is_there = conductor.is_there & ~((x >= from_x) & (x <= to_x))
+    return _with(line, replace(conductor, is_there=is_there))
+
+
+def move_stretch(line: PowerLine, conductor_id: str, shift: Floats) -> PowerLine:
+    """The line with the points of a conductor moved by (N, 3)."""
+    conductor = line[conductor_id]
+    return _with(line, replace(conductor, points=conductor.points + shift))
+
+
+def _with(line: PowerLine, changed: Conductor) -> PowerLine:
+    same = changed.conductor_id
+    return replace(line, conductors=tuple(changed if c.conductor_id == same else c for c in line.conductors))
+
+
+def cross(line: PowerLine, x: float, angle_rad: float) -> PowerLine:
+    """The line with another one passing below it at `x`, turned by an angle against it."""
+    along = np.arange(-_FOREIGN_HALF_M, _FOREIGN_HALF_M, SAMPLE_M)
+    points = np.column_stack(
+        (x + along * np.cos(angle_rad), along * np.sin(angle_rad), np.full_like(along, _FOREIGN_Z_M))
+    )
+    name = f"X{len(line.foreign) + 1}"
+    foreign = Conductor(name, points, np.ones(len(points), bool), _FOREIGN_DIAMETER_M)
+    return replace(line, foreign=(*line.foreign, foreign))

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     Rng = np.random.Generator
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".hdr"}
-PLAIN_SHARE = 0.25  # of the backgrounds are drawn: asphalt, concrete and sky are rare among photographs
+PLAIN_SHARE = 0.22  # of the backgrounds are drawn: asphalt, concrete and sky are rare among photographs
+VEGETATION_SHARE = 0.2  # likewise: leaves near enough to be seen one by one
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,10 @@ class BackgroundPool:
 
     def sample(self, rng: Rng, size: int) -> Image:
         """A float32 (size, size, 3) background."""
-        if not self._folders or rng.random() < PLAIN_SHARE:
+        kind = rng.random()
+        if kind < VEGETATION_SHARE:
+            return vegetation(rng, size)
+        if not self._folders or kind < VEGETATION_SHARE + PLAIN_SHARE:
             return plain(rng, size)
         photos = self._folders[rng.choice(len(self._folders), p=self._shares)]
         return cut_out(photos[rng.integers(len(photos))], rng, size)
@@ -131,3 +135,38 @@ def plain(rng: Rng, size: int) -> Image:
     image += grain(rng, size, rng.uniform(0, 16), int(rng.integers(2, 12)))
     image += grain(rng, size, rng.uniform(0, 22), int(rng.integers(12, 90)))
     return image.astype(np.float32, copy=False)
+
+
+def vegetation(rng: Rng, size: int) -> Image:
+    """Leaves, grass, scrub or twigs from near: flat tones with sharp edges, dark where one looks in."""
+    pitch, stretch = np.exp(rng.uniform(np.log(1.5), np.log(6))), rng.uniform(1, 3.5)
+    leaves = _turned_noise(rng, size, pitch, stretch) + 0.6 * _turned_noise(rng, size, 2.3 * pitch, stretch)
+    depth = grain(rng, size, rng.uniform(0.1, 0.9), int(rng.integers(15, 90)))[..., 0]
+    depth += grain(rng, size, rng.uniform(0.0, 0.8), int(rng.integers(5, 16)))[..., 0]
+    t = 0.5 + 0.5 * np.tanh(rng.uniform(0.6, 2.5) * leaves + depth + rng.normal(0, 0.4))
+    dark = rng.uniform(3, 60) * (1 + rng.normal(0, 0.12, 3))
+    light = rng.uniform(70, 220) * np.array([rng.uniform(0.7, 1.1), 1.0, rng.uniform(0.35, 1.0)])
+    middle = (dark + light) * rng.uniform(0.3, 0.6) * (1 + rng.normal(0, 0.1, 3))
+    levels = np.stack(
+        [np.interp(t, [0, 0.5, 1], tones) for tones in zip(dark, middle, light, strict=True)], -1
+    )
+    image: Image = levels.astype(np.float32)
+    for channel in range(3):  # no two plants of one hue
+        image[..., channel : channel + 1] *= 1 + grain(rng, size, 0.08, int(rng.integers(4, 40)))
+    return image
+
+
+def _turned_noise(rng: Rng, size: int, pitch_px: float, stretch: float) -> Image:
+    """(size, size) noise smooth over `pitch_px` one way and `stretch` times as far the other way."""
+    side = 1.5 * size
+    rows, columns = int(side / pitch_px) + 2, int(side / pitch_px / stretch) + 2
+    noise = rng.standard_normal((rows, columns), dtype=np.float32)
+    angle = rng.uniform(0, np.pi)
+    rotate = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turn = np.diag([1 / (pitch_px * stretch), 1 / pitch_px]) @ rotate
+    shift = np.array([columns, rows]) / 2 - turn @ np.array([size, size]) / 2
+    how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    warped = cv2.warpAffine(
+        noise, np.column_stack([turn, shift]), (size, size), flags=how, borderMode=cv2.BORDER_REFLECT
+    )
+    return np.asarray(warped, np.float32)

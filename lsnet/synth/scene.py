@@ -36,21 +36,23 @@ def _family(image: Image, rng: Rng, count: int) -> list[Points]:
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-along[1], along[0]])
     centre = np.array([rng.uniform(0, width), rng.uniform(0, height)])
-    base_width = float(np.exp(rng.uniform(np.log(0.9), np.log(MAX_WIDTH_PX))))
+    busyness = _busyness(image)
+    thinnest = min(0.9 + 0.06 * busyness, 3.0)  # nobody sees a thinner one before leaves
+    base_width = float(np.exp(rng.uniform(np.log(thinnest), np.log(MAX_WIDTH_PX))))
     spread = rng.uniform(0.05, 0.9) * reach
     offsets = np.sort(rng.uniform(-0.5, 0.5, count)) * spread
     if rng.random() < 0.25 and count > 1:  # a twin a few widths beside its neighbour
         offsets[1] = offsets[0] + base_width * rng.uniform(1.8, 6) + rng.uniform(1, 6)
     converge = rng.normal(0, 0.06)
     sag = rng.normal(0, 0.02) * reach if rng.random() < 0.6 else 0.0
-    finish, thinning = _finish(image, rng), rng.uniform(0.6, 1.0)
+    finish, thinning = _finish(image, rng, busyness), rng.uniform(0.6, 1.0)
     centrelines = []
     for offset in offsets:
         turned = angle + converge * offset / reach * 4
         arc = _arc(centre + across * offset, turned, sag, (height, width), rng=rng)
-        w = float(np.clip(base_width * rng.uniform(0.75, 1.25), 0.9, MAX_WIDTH_PX))
+        w = float(np.clip(base_width * rng.uniform(0.75, 1.25), thinnest, MAX_WIDTH_PX))
         if rng.random() < 0.15:
-            finish = _finish(image, rng)
+            finish = _finish(image, rng, busyness)
         draw_cable(image, arc, (w, w * thinning), finish, _leaves(image, rng))
         centrelines.append(arc.points(33))
     return centrelines
@@ -70,8 +72,17 @@ def _arc(through: Points, angle: float, sag: float, size: tuple[int, int], *, rn
     return Arc((start[0], start[1]), (end[0], end[1]), sag)
 
 
-def _finish(image: Image, rng: Rng) -> Finish:
-    kind = rng.choice(["dark", "metal", "bright", "tinted", "ground"], p=[0.3, 0.28, 0.2, 0.1, 0.12])
+def _busyness(image: Image) -> float:
+    """Mean contrast within a few pixels, grey levels: about 3 of asphalt, 25 of sunlit leaves."""
+    grey = image.mean(axis=2)
+    return float(np.abs(grey - cv2.blur(grey, (7, 7))).mean())
+
+
+def _finish(image: Image, rng: Rng, busyness: float) -> Finish:
+    kinds = ["dark", "metal", "bright", "tinted", "ground", "sky"]
+    kind = rng.choice(kinds, p=[0.26, 0.24, 0.16, 0.08, 0.11, 0.15])
+    if kind == "sky":
+        return _under_the_sky(rng)
     if kind == "dark":
         grey = rng.uniform(5, 70)
         rgb = grey + rng.normal(0, 4, 3)
@@ -83,7 +94,7 @@ def _finish(image: Image, rng: Rng) -> Finish:
         rgb = rng.uniform(20, 230, 3)
     else:  # nearly the colour of the ground
         y, x = rng.integers(image.shape[0]), rng.integers(image.shape[1])
-        rgb = image[y, x] + rng.choice([-1, 1]) * rng.uniform(18, 50)
+        rgb = image[y, x] + rng.choice([-1, 1]) * (rng.uniform(18, 50) + busyness)
     rgb = np.clip(rgb, 2, 255)
     is_plain = rng.random() < 0.35
     ambient = 1.0 if is_plain else rng.uniform(0.35, 0.8)
@@ -94,6 +105,19 @@ def _finish(image: Image, rng: Rng) -> Finish:
         specular=0.0 if is_plain or kind == "dark" else float(max(0.0, rng.normal(0, 0.25))),
         light=float(rng.uniform(-1, 1)),
         strand_px=float(rng.uniform(5, 30)) if rng.random() < 0.5 else 0.0,
+    )
+
+
+def _under_the_sky(rng: Rng) -> Finish:
+    """Smooth grey, one flank bluish with the light of the sky, the other dark."""
+    rgb = rng.uniform(90, 190) * np.array([rng.uniform(0.85, 1), 1.0, rng.uniform(1, 1.25)])
+    return Finish(
+        rgb=(float(rgb[0]), float(rgb[1]), float(rgb[2])),
+        ambient=float(rng.uniform(0.2, 0.6)),
+        diffuse=float(rng.uniform(0.5, 1.2)),
+        specular=float(max(0.0, rng.normal(0, 0.2))),
+        light=float(rng.choice([-1, 1]) * rng.uniform(0.2, 0.9)),
+        strand_px=0.0,
     )
 
 

@@ -68,6 +68,7 @@ reliability-short: $(INSTALLED)
 	$(BIN)/python -m pytest -q -m 'reliability and not slow'
 
 bench: $(INSTALLED)
+	$(BIN)/python benchmarks/bench_help.py
 	$(BIN)/python benchmarks/bench_encode.py
 	$(BIN)/python benchmarks/bench_append.py
 

@@ -11,6 +11,7 @@ import math
 import os
 import time
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -22,11 +23,10 @@ from lsnet.errors import LSNetError
 from lsnet.grid import GridCoder
 from lsnet.losses import Losses, MultiTaskLoss
 from lsnet.model import PRESETS, LSNet
+from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
-
     from torch import Tensor
 
     from lsnet.synth.dataset import Sample
@@ -123,11 +123,11 @@ class Trainer:
     """One run: the network, its average, the optimizer, and how far they have come."""
 
     def __init__(
-        self, config: TrainConfig, run_dir: Path, *, seed: int = 0, start: Path | None = None
+        self, config: TrainConfig, run_dir: Path, *, seed: int = 0, start: str | Path | None = None
     ) -> None:
         """Start a run or go on with it.
 
-        start: weights (`best.pt` of another run) to begin with. Raises LSNetError when the folder
+        start: weights to begin with: the `best.pt` of another run, or what `load_weights` takes. Raises LSNetError when the folder
         holds a run of another recipe, or the network does not fit.
         """
         torch.manual_seed(seed)
@@ -247,12 +247,14 @@ class Trainer:
             "bad_validations": self.bad_validations,
         }
 
-    def _begin_with(self, start: Path) -> None:
+    def _begin_with(self, start: str | Path) -> None:
+        is_checkpoint = Path(start).suffix == ".pt"
+        state = load_checkpoint(Path(start)) if is_checkpoint else load_weights(start).net.state_dict()
         try:
-            self.net.load_state_dict(load_checkpoint(start)["average"])
+            self.net.load_state_dict(state["average"] if is_checkpoint else state)
         except (KeyError, RuntimeError) as err:
             raise LSNetError(
-                f"{start}: not the best.pt of a {self.config.preset} network; give one of that preset"
+                f"{start}: not weights of a {self.config.preset} network; give some of that preset"
             ) from err
 
     def _restore(self) -> None:

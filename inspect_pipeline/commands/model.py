@@ -52,7 +52,8 @@ def train(
     threads: Annotated[int, typer.Option(min=1, help="Threads of the training itself.")] = 1,
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
     start: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A best.pt to begin with instead of random weights.")
+        str | None,
+        typer.Option(metavar="WEIGHTS", help="Begin with these: a shipped name, .safetensors or best.pt."),
     ] = None,
 ) -> None:
     """Train a network on drawn cables, or on your own labelled images (labelme or COCO).
@@ -61,7 +62,7 @@ def train(
 
     Example: lsnet-pipe model train --run runs/a --background photos:500
 
-    Example: lsnet-pipe model train --run runs/rails --data rails/train --validation rails/val --label rail
+    Example: lsnet-pipe model train --run runs/b --data rails/train --validation rails/val --start fast
     """
     from lsnet.errors import LSNetError
     from lsnet.model import PRESETS

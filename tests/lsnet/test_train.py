@@ -165,6 +165,14 @@ def test_a_run_begins_with_the_weights_of_another(tmp_path: Path) -> None:
     assert started.step == 0
 
 
+def test_a_run_begins_with_shipped_weights(tmp_path: Path) -> None:
+    started = Trainer(replace(QUICK, preset="fast"), tmp_path, start="fast")
+    shipped = load_weights("fast").net.state_dict()
+    assert all(torch.equal(t, shipped[name]) for name, t in started.average.state_dict().items())
+    with pytest.raises(LSNetError, match="no such weights"):
+        Trainer(QUICK, tmp_path / "b", start="slow")
+
+
 def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
     Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
     (tmp_path / "damaged.pt").write_bytes((tmp_path / "a/best.pt").read_bytes()[:500])
@@ -172,7 +180,7 @@ def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
     for start in ("missing.pt", "damaged.pt"):
         with pytest.raises(LSNetError, match=start):
             Trainer(QUICK, tmp_path / "b", start=tmp_path / start)
-    with pytest.raises(LSNetError, match=r"best\.pt: not the best\.pt of a fast network"):
+    with pytest.raises(LSNetError, match=r"best\.pt: not weights of a fast network"):
         Trainer(replace(QUICK, preset="fast"), tmp_path / "b", start=tmp_path / "a/best.pt")
     (tmp_path / "a/last.pt").write_bytes(b"PK")
     with pytest.raises(LSNetError, match=r"last\.pt: missing or damaged"):

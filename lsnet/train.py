@@ -27,6 +27,7 @@ from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
     from torch import Tensor
 
     from lsnet.synth.dataset import Sample
@@ -127,8 +128,8 @@ class Trainer:
     ) -> None:
         """Start a run or go on with it.
 
-        start: weights to begin with: the `best.pt` of another run, or what `load_weights` takes. Raises LSNetError when the folder
-        holds a run of another recipe, or the network does not fit.
+        start: weights to begin with, the `best.pt` of another run or what `load_weights` takes.
+        Raises LSNetError when the folder holds a run of another recipe, or the network does not fit.
         """
         torch.manual_seed(seed)
         torch.set_num_threads(config.threads)

@@ -106,7 +106,7 @@ def _serve(connection: Connection[Any, Any], job: Job, detector: Detector) -> No
     while True:
         try:
             path, run = connection.recv()
-        except EOFError:
+        except (EOFError, OSError):  # the parent has died
             return
         try:
             connection.send(process(path, store, detector, job.options, run))

@@ -97,11 +97,31 @@ def roadside(image: Image, rng: Rng) -> None:
     tint = 1 + rng.normal(0, 0.03, 3).astype(np.float32)
     road = paving[..., None] * tint + smooth_noise(rng, (height, width), 1)[..., None] * rng.uniform(0, 7)
     road += smooth_noise(rng, (height, width), rng.uniform(20, 150))[..., None] * rng.uniform(0, 10)
+    if rng.random() < 0.5:
+        road = _painted(road, v, rng)
     ragged = smooth_noise(rng, (height, width), rng.uniform(2, 10)) * np.float32(rng.uniform(0, 4))
     alpha = np.clip(edges[-1] + 0.5 - (v + (ragged if rng.random() < 0.5 else 0)), 0, 1)[..., None]
     if rng.random() < 0.3:  # a strip too wide for a cable
         alpha *= np.clip(v + 0.5 + rng.uniform(25, 90), 0, 1)[..., None]
     put(image, image + alpha * (road - image.astype(np.float32)))
+
+
+def _painted(road: NDArray[np.floating], v: NDArray[np.floating], rng: Rng) -> NDArray[np.floating]:
+    """One or several painted lines along the road side; v (H, W) is the distance from it, px.
+
+    As wide as cables and as straight, but flat in tone, and worn: the grain of the paving shows through.
+    """
+    white, yellow = np.array([235.0, 235, 228]), np.array([215.0, 160, 50])
+    for _ in range(int(rng.integers(1, 4))):
+        rgb = (white if rng.random() < 0.6 else yellow) * rng.uniform(0.5, 1.05)
+        width, at = rng.uniform(1.5, 14), -rng.uniform(5, 250)
+        worn = np.clip(rng.uniform(0.6, 1.1) + smooth_noise(rng, v.shape, 1) * rng.uniform(0, 0.15), 0, 1)
+        worn = worn * np.clip(rng.uniform(0.8, 1.6) + 0.4 * smooth_noise(rng, v.shape, 12), 0, 1)
+        places = (at, at - width * rng.uniform(1.7, 3)) if rng.random() < 0.35 else (at,)  # double lines
+        for place in places:
+            alpha = (np.clip(width / 2 + 0.5 - np.abs(v - place), 0, 1) * worn)[..., None]
+            road = road + alpha * (rgb - road)
+    return road
 
 
 def _bands(rng: Rng) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

@@ -96,7 +96,7 @@ def _finish(image: Image, rng: Rng, busyness: float) -> Finish:
         y, x = rng.integers(image.shape[0]), rng.integers(image.shape[1])
         rgb = image[y, x] + rng.choice([-1, 1]) * (rng.uniform(18, 50) + busyness)
     rgb = np.clip(rgb, 2, 255)
-    is_plain = rng.random() < 0.35
+    is_plain = rng.random() < (0.1 if kind == "bright" else 0.3)  # paint is flat and bright
     ambient = 1.0 if is_plain else rng.uniform(0.35, 0.8)
     return Finish(
         rgb=(float(rgb[0]), float(rgb[1]), float(rgb[2])),

@@ -220,6 +220,10 @@ class _Batch:
             n_segments=result.n_segments,
             duration_s=result.seconds,
         )
+        if result.reason and result.status == "recovered":
+            self._report("recording damaged", path=str(candidate.path), reason=result.reason)
+        for warning in result.warnings:
+            self._report("recording odd", path=str(candidate.path), warning=warning)
 
     def _give_up(self, outcome: Outcome, failure: Failure) -> None:
         """Put a recording into quarantine, unless it is no longer the one that was tried."""

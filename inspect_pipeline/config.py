@@ -17,6 +17,7 @@ from inspect_pipeline.resources import MIGRATIONS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from inspect_pipeline.types import SchemaName, WriteMode
     from lsnet import Detector
 
 
@@ -27,6 +28,7 @@ class ProcessOptions:
     topics: the cameras, None for all; every: of each camera every N-th frame; start_ns <= log time < end_ns.
     strict: refuse a damaged recording instead of processing the part that can be read.
     force: process again what the store already has.
+    write: annotations to a copy of the recording, to a file of their own, or nowhere; schema: in which form.
     """
 
     topics: tuple[str, ...] | None = None
@@ -35,6 +37,8 @@ class ProcessOptions:
     end_ns: int | None = None
     strict: bool = False
     force: bool = False
+    write: WriteMode = "copy"
+    schema: SchemaName = "protobuf"
 
 
 def start_run(detector: Detector, options: ProcessOptions) -> RunRecord:
@@ -55,6 +59,8 @@ def start_described_run(
         "every": options.every,
         "start_ns": options.start_ns,
         "end_ns": options.end_ns,
+        "write": options.write,
+        "schema": options.schema,
         "schema_version": len(MIGRATIONS),
     }
     return RunRecord(

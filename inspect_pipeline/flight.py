@@ -69,6 +69,7 @@ class FlightRecord:
 
     flight_id is the sha256 of the recording in hex, ingested_at is in UTC. `files` maps the name of each
     file of the flight's folder to its size in bytes; the store fills it in when the flight is committed.
+    warnings: what is odd about the recording; annotations: the file that holds them, None without.
     """
 
     flight_id: str
@@ -76,6 +77,8 @@ class FlightRecord:
     source_bytes: int
     status: Literal["ok", "recovered"]
     reason: str | None
+    warnings: tuple[str, ...]
+    annotations: str | None
     ingested_at: datetime
     run: RunRecord
     model: ModelRecord
@@ -100,6 +103,7 @@ class FlightRecord:
         fields = {name: value[name] for name in cls.__dataclass_fields__}
         fields["ingested_at"] = datetime.fromisoformat(value["ingested_at"])
         fields["run"] = RunRecord.from_json(value["run"])
+        fields["warnings"] = tuple(value["warnings"])
         fields["model"] = ModelRecord(**value["model"])
         fields["channels"] = tuple(CameraChannel(**channel) for channel in value["channels"])
         fields["totals"] = FlightTotals(**value["totals"])

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.wire import SequentialReader
 
+_MAX_STAMP_NS = (1 << 63) - 1  # the year 2262; what is later, or before 1970, is no stamp
 _VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")
 
 
@@ -70,6 +71,8 @@ def parse(schema_name: str, message_encoding: str, payload: memoryview) -> Image
         message = parser(payload)
     except MALFORMED as error:
         raise ImageError(f"the message is not a {schema_name}") from error
+    if not 0 <= message.stamp_ns <= _MAX_STAMP_NS:
+        message = replace(message, stamp_ns=0)
     if message.raw is None and (schema_name.endswith("Video") or _is_video_stream(message.data)):
         return replace(message, is_video=True)
     return message

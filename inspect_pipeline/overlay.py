@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 
 from inspect_pipeline.errors import OutputError, QueryError
-from inspect_pipeline.pipeline import ANNOTATED
 from inspect_pipeline.query import run_query
-from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
+from inspect_pipeline.sources import open_images
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,10 +55,7 @@ def draw_overlay(store: Store, flight: str, frame_idx: int | None = None) -> Ove
     Raises QueryError when the index has no such frame, StoreError, RecordingError.
     """
     row = _find_frame(store, flight, frame_idx)
-    recording = open_recording(store.flight_dir(row["flight_id"]) / ANNOTATED)
-    time_ns = row["log_time_ns"]
-    frames = iter_frames(recording, [row["topic"]], start_ns=time_ns, end_ns=time_ns + 1)
-    image = next(f.image for f in frames if f.frame_idx == row["frame_idx"] and f.image is not None)
+    image = _read_image(store, row)
     endpoints = np.array(row["endpoints"] or [], np.float32).reshape(-1, 4)
     return Overlay(
         flight_id=row["flight_id"],
@@ -94,6 +90,21 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
         path.write_bytes(data.tobytes())
     except OSError as error:
         raise OutputError(path, f"cannot be written ({error.strerror})", "name another file") from error
+
+
+def _read_image(store: Store, row: dict[str, Any]) -> NDArray[np.uint8]:
+    """The image of the row of a frame: uint8 (height, width, 3) RGB."""
+    record = store.load_flight(row["flight_id"])
+    if record is None:
+        raise QueryError(f"flight {row['flight_id'][:16]} is not in the store; lsnet-pipe index rebuild")
+    source, time_ns = open_images(record, store.flight_dir(record.flight_id)), row["log_time_ns"]
+    with tempfile.TemporaryDirectory() as scratch, source.recording(Path(scratch)) as recording:
+        frames = iter_frames(recording, [row["topic"]], start_ns=time_ns, end_ns=time_ns + 1)
+        images = (frame.image for frame in frames if frame.frame_idx == row["frame_idx"])
+        image = next(images, None)
+    if image is None:
+        raise QueryError(f"frame {row['frame_idx']} is not in {source.path} any more; process it again")
+    return image
 
 
 def _find_frame(store: Store, flight: str, frame_idx: int | None) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import OutputError, RecordingError
 from inspect_pipeline.exif import PhotographTags, read_tags
 from inspect_pipeline.parts import find_parts, join_parts
+from inspect_pipeline.recording import open_recording
 from inspect_pipeline.srt import SubtitleBlock, parse_srt
 
 if TYPE_CHECKING:
@@ -58,12 +59,19 @@ def pack(source: Path, target: Path) -> PackResult:
     try:
         if not source.is_dir():
             return pack_video(source, target)
-        if parts := find_parts(source):
-            n_messages, losses = join_parts(parts, target)
-            return PackResult({"parts": len(parts), "messages": n_messages}, tuple(losses))
+        if paths := find_parts(source):
+            return pack_parts(paths, target)
         return pack_photographs(source, target)
     except OSError as error:
         raise OutputError(target, f"it cannot be made ({error.strerror})", "check rights and disk") from error
+
+
+def pack_parts(paths: Sequence[Path], target: Path) -> PackResult:
+    """A recording of the parts of one."""
+    parts = [open_recording(path) for path in paths]
+    n_messages = join_parts(parts, target)
+    losses = (f"{part.path}: {loss}" for part in parts for loss in part.losses)
+    return PackResult({"parts": len(parts), "messages": n_messages}, tuple(losses))
 
 
 def pack_photographs(folder: Path, target: Path) -> PackResult:

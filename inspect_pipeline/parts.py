@@ -1,4 +1,4 @@
-"""Split recordings: the parts of one flight in a folder, joined to one file.
+"""Split recordings: the parts of one flight in a folder, and how they become one file.
 
 Parts are the files that a rosbag2's metadata.yaml lists, or that differ by the number at the end of their
 names only (flight_0.mcap, flight_1.mcap, ...). A channel's number may differ from part to part, so messages
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_channel_messages
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from inspect_pipeline.authoring import RecordingAuthor
@@ -33,7 +33,9 @@ def find_parts(folder: Path) -> list[Path]:
     index = folder / "metadata.yaml"
     if index.is_file():
         # Paths in old bags begin with the name of the bag.
-        listed = [folder / name.rsplit("/", 1)[-1] for name in _LISTED.findall(index.read_text("utf-8"))]
+        listed = [
+            folder / name.rsplit("/", 1)[-1] for name in _LISTED.findall(index.read_text("utf-8", "replace"))
+        ]
         for part in listed:
             if not part.is_file():
                 raise RecordingError(part, "metadata.yaml lists it but it is absent", "copy the folder again")
@@ -45,20 +47,18 @@ def find_parts(folder: Path) -> list[Path]:
     return sorted(matches, key=lambda path: int(match[2]) if (match := matches[path]) else 0)
 
 
-def join_parts(parts: list[Path], target: Path) -> tuple[int, list[str]]:
+def join_parts(parts: Sequence[Recording], target: Path) -> int:
     """Write the messages, metadata and attachments of all parts to one recording, part by part.
 
-    Returns the number of messages, and a phrase for each part of the parts that cannot be read. Raises
-    RecordingError when a part is no recording or an annotated copy, OSError when the target cannot be
+    Returns the number of messages; what cannot be read is in the losses of the parts. Raises RecordingError
+    when a part is an annotated copy, or anything is lost of a `strict` one, OSError when the target cannot be
     written.
     """
-    recordings = [open_recording(part) for part in parts]
-    for recording in recordings:
-        if recording.is_annotated_copy:
-            raise RecordingError(recording.path, "it carries annotations already", "join what it is from")
-    with new_recording(target, profile=recordings[0].profile) as author:
-        n_messages = sum(_append(author, recording) for recording in recordings)
-    return n_messages, [f"{recording.path}: {loss}" for recording in recordings for loss in recording.losses]
+    for part in parts:
+        if part.is_annotated_copy:
+            raise RecordingError(part.path, "it carries annotations already", "join what it is from")
+    with new_recording(target, profile=parts[0].profile) as author:
+        return sum(_append(author, part) for part in parts)
 
 
 def _append(author: RecordingAuthor, part: Recording) -> int:

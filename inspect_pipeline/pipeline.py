@@ -1,6 +1,6 @@
-"""The one path: a recording in; annotations in a copy of it and rows in the store out.
+"""The one path: a recording in; annotations in a copy of it or beside it, and rows in the store out.
 
-recording ─ iter_frames ─ batches, decoded one ahead ─ detect ─┬─ annotated.mcap
+recording ─ iter_frames ─ batches, decoded one ahead ─ detect ─┬─ annotated.mcap, or annotations.mcap
                                                                └─ frames, segments, lines.parquet
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,11 +17,13 @@ from inspect_pipeline.annotations import FrameAnnotator
 from inspect_pipeline.config import model_record, run_metadata
 from inspect_pipeline.flight import FlightRecord
 from inspect_pipeline.quality import ImageQuality, measure_quality
-from inspect_pipeline.recording import RUN_METADATA, open_recording
+from inspect_pipeline.recording import RUN_METADATA
 from inspect_pipeline.recording_frames import iter_frames
+from inspect_pipeline.sources import ANNOTATED, SIDECAR, open_source
+from inspect_pipeline.stamps import StampCheck
 from inspect_pipeline.tables import FlightWriter
 from inspect_pipeline.types import ProcessResult
-from inspect_pipeline.writeback import annotated_copy
+from inspect_pipeline.writeback import annotated_copy, sidecar, unchanged
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -29,11 +32,13 @@ if TYPE_CHECKING:
     from inspect_pipeline.config import ProcessOptions
     from inspect_pipeline.flight import FlightTotals, ModelRecord, RunRecord
     from inspect_pipeline.recording import Recording
+    from inspect_pipeline.sources import Source
     from inspect_pipeline.store import Store
-    from inspect_pipeline.types import Frame
+    from inspect_pipeline.types import CameraChannel, Frame
+    from inspect_pipeline.writeback import AnnotationWriter
     from lsnet import Detections, Detector
 
-ANNOTATED = "annotated.mcap"
+_FILES = {"copy": ANNOTATED, "sidecar": SIDECAR, "none": None}
 _BATCH_FRAMES = 8
 _BATCH_BYTES = 32 << 20  # of pixels; two batches are in memory at a time
 
@@ -57,23 +62,28 @@ def process(
 ) -> ProcessResult:
     """Find the segments of a recording and keep them in the store, whole or not at all.
 
-    An annotated copy is skipped, and so is a flight that the store has by the same model and config. The
-    index is left to `index.publish`. Raises RecordingError, StoreError.
+    `path` may be the folder of a split recording. An annotated copy is skipped, and so is a flight that the
+    store has by the same model and config. The index is left to `index.publish`. Raises RecordingError,
+    StoreError.
     """
     started = time.monotonic()
-    recording = open_recording(path, strict=options.strict)
-    if recording.is_annotated_copy:
-        return ProcessResult(recording.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
-    recording.select_cameras(options.topics)
-    known = store.load_flight(recording.flight_id)
+    source = open_source(path, strict=options.strict)
+    if source.is_annotated_copy:
+        skipped = ProcessResult(source.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
+        return replace(skipped, reason="it is an annotated copy")
+    if len(source.parts) == 1:
+        source.parts[0].select_cameras(options.topics)
+    known = store.load_flight(source.flight_id)
     if known and known.run.config_sha256 == run.config_sha256 and not options.force:
-        return replace(_to_result(known, path, store, started), status="skipped")
+        result = _to_result(known, path, store, started)
+        return replace(result, status="skipped", reason=None, warnings=())
     model = model_record(detector)
-    metadata = run_metadata(recording.flight_id, run, model)
-    with store.write_flight(recording.flight_id) as staging:
-        seen = _look(recording, detector, options, on_progress)
-        totals = _write(recording, staging.path, metadata, seen)
-        record = _to_record(recording, options, run, model, totals)
+    with store.write_flight(source.flight_id) as staging:
+        with source.recording(staging.path) as recording:
+            seen = _look(recording, detector, options, on_progress)
+            metadata = run_metadata(source.flight_id, run, model)
+            written = _write(recording, staging.path, options, metadata, seen)
+            record = _to_record(source, options, run, model, written)
         staging.commit(record)
     return _to_result(record, path, store, started)
 
@@ -137,18 +147,34 @@ def _detect(detector: Detector, batch: list[_Seen]) -> list[_Seen]:
     ]
 
 
+class _Written(NamedTuple):
+    """What was written of a flight, of which cameras, and what is odd about it."""
+
+    totals: FlightTotals
+    channels: tuple[CameraChannel, ...]
+    warnings: tuple[str, ...]
+
+
 def _write(
-    recording: Recording, folder: Path, metadata: dict[str, str], seen_frames: Iterable[_Seen]
-) -> FlightTotals:
-    """Write every frame to an annotated copy and to tables in `folder`."""
+    recording: Recording,
+    folder: Path,
+    options: ProcessOptions,
+    metadata: dict[str, str],
+    seen_frames: Iterable[_Seen],
+) -> _Written:
+    """Write every frame to annotations and to tables in `folder`."""
+    stamps = StampCheck()
     with (
-        annotated_copy(recording, folder / ANNOTATED) as copy,
+        _annotations(recording, folder, options) as out,
         FlightWriter(folder, recording.flight_id) as tables,
     ):
-        copy.add_metadata(RUN_METADATA, metadata)
-        annotator = FrameAnnotator(copy)
+        if out:
+            out.add_metadata(RUN_METADATA, metadata)
+        annotator = FrameAnnotator(out, options.schema) if out else None
         for seen in seen_frames:
-            annotator.write(seen.frame, seen.detections)
+            stamps.see(seen.frame)
+            if annotator:
+                annotator.write(seen.frame, seen.detections)
             tables.add_frame(
                 seen.frame,
                 seen.detections,
@@ -156,7 +182,26 @@ def _write(
                 sharpness=seen.quality.sharpness if seen.quality else None,
                 mean_luma=seen.quality.mean_luma if seen.quality else None,
             )
-        return tables.finish()
+        totals = tables.finish()
+    warnings = (*recording.warnings, *stamps.warnings())
+    return _Written(totals, recording.select_cameras(options.topics), warnings)
+
+
+@contextmanager
+def _annotations(
+    recording: Recording, folder: Path, options: ProcessOptions
+) -> Iterator[AnnotationWriter | None]:
+    """Where annotations go: a copy of the recording, a file of their own, or nowhere."""
+    if options.write == "copy":
+        with annotated_copy(recording, folder / ANNOTATED) as out:
+            yield out
+    elif options.write == "sidecar":
+        profile = "ros2" if options.schema == "ros2msg" else ""
+        with sidecar(recording, folder / SIDECAR, profile) as out:
+            yield out
+    else:
+        with unchanged(recording):
+            yield None
 
 
 def _expected_frames(recording: Recording, options: ProcessOptions) -> int | None:
@@ -167,34 +212,39 @@ def _expected_frames(recording: Recording, options: ProcessOptions) -> int | Non
 
 
 def _to_record(
-    recording: Recording,
+    source: Source,
     options: ProcessOptions,
     run: RunRecord,
     model: ModelRecord,
-    totals: FlightTotals,
+    written: _Written,
 ) -> FlightRecord:
     return FlightRecord(
-        flight_id=recording.flight_id,
-        source_uri=recording.path.absolute().as_uri(),
-        source_bytes=recording.size_bytes,
-        status="recovered" if recording.losses else "ok",
-        reason="; ".join(recording.losses) or None,
+        flight_id=source.flight_id,
+        source_uri=source.path.absolute().as_uri(),
+        source_bytes=source.size_bytes,
+        status="recovered" if source.losses else "ok",
+        reason="; ".join(source.losses) or None,
+        warnings=written.warnings,
+        annotations=_FILES[options.write],
         ingested_at=datetime.now(UTC),
         run=run,
         model=model,
-        channels=recording.select_cameras(options.topics),
-        totals=totals,
+        channels=written.channels,
+        totals=written.totals,
     )
 
 
 def _to_result(record: FlightRecord, path: Path, store: Store, started: float) -> ProcessResult:
+    folder = store.flight_dir(record.flight_id)
     return ProcessResult(
         flight_id=record.flight_id,
         source=str(path),
         status=record.status,
-        annotated=store.flight_dir(record.flight_id) / ANNOTATED,
+        annotated=folder / record.annotations if record.annotations else None,
         n_frames=record.totals.n_frames,
         n_bad_frames=record.totals.n_bad_frames,
         n_segments=record.totals.n_segments,
         seconds=round(time.monotonic() - started, 3),
+        reason=record.reason,
+        warnings=record.warnings,
     )

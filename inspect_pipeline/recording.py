@@ -14,6 +14,7 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from mcap.records import Attachment, Metadata
@@ -49,6 +50,7 @@ class Recording:
     metadata: the Metadata records by name.
     losses: one phrase per part that cannot be read; grows while frames are read.
     layout: where the records lie, for those who append to the file.
+    made_of: the flight_id of what the file was made from, None when it is itself what was recorded.
     """
 
     path: Path
@@ -64,6 +66,7 @@ class Recording:
     metadata: Mapping[str, Mapping[str, str]]
     n_attachments: int
     layout: Layout
+    made_of: str | None = None
 
     @property
     def losses(self) -> list[str]:
@@ -79,7 +82,13 @@ class Recording:
             if _PLAUSIBLE_S[0] <= self.start_ns / factor <= self.end_ns / factor < _PLAUSIBLE_S[1]
         ]
         years = (self.end_ns - self.start_ns) / _YEAR_NS
-        return [*found, f"its log times span {years:.0f} years"] if years > 1 else found
+        if years > 1:
+            found.append(f"its log times span {years:.0f} years")
+        starts = [e.start_ns for e in self.layout.extents if e.channel_ids is None or e.channel_ids]
+        n_early = sum(after < before for before, after in pairwise(starts))
+        if n_early:
+            found.append(f"its messages are out of order: {n_early:,} stretches begin before the one ahead")
+        return found
 
     @property
     def is_annotated_copy(self) -> bool:
@@ -88,12 +97,12 @@ class Recording:
 
     @cached_property
     def flight_id(self) -> str:
-        """SHA-256 of the content in hex; of an annotated copy, that of the flight it belongs to.
+        """SHA-256 of the content in hex; of a file made from others, that of the flight it belongs to.
 
         Reads the whole file once, and checks the CRC of the data section on the way where the file states
         one. Raises RecordingError.
         """
-        named = self.metadata.get(RUN_METADATA, {}).get("flight_id")
+        named = self.made_of or self.metadata.get(RUN_METADATA, {}).get("flight_id")
         if named:
             return named
         with reading(self.path) as file:
@@ -111,7 +120,8 @@ class Recording:
         """The cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
         if topics is None:
             if not self.camera_channels:
-                raise RecordingError(self.path, "no camera topic", self._what_it_has())
+                where = " in the part that can be read" if self.losses else ""
+                raise RecordingError(self.path, f"no camera topic{where}", self._what_it_has())
             return self.camera_channels
         images_by_topic = {c.topic: c for c in self.channels if is_image(c)}
         for topic in topics:
@@ -149,7 +159,7 @@ class Recording:
             return _count_all(file, self.layout)
 
 
-def open_recording(path: Path, *, strict: bool = False) -> Recording:
+def open_recording(path: Path, *, strict: bool = False, made_of: str | None = None) -> Recording:
     """Look into an MCAP file. Raises RecordingError when it is none, or damaged and `strict`."""
     with reading(path) as file:
         layout = read_layout(file)
@@ -170,6 +180,7 @@ def open_recording(path: Path, *, strict: bool = False) -> Recording:
             metadata=_read_metadata(file, layout),
             n_attachments=len(layout.attachments),
             layout=layout,
+            made_of=made_of,
         )
     if strict and layout.losses:
         raise RecordingError(path, layout.losses[0], STRICT_REMEDY)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.types import CameraChannel
 
 _NEVER_NS = 1 << 64  # beyond every log time
+_MAX_TIME_NS = (1 << 63) - 1  # the year 2262; later ones are damage, and databases do not hold them
 
 
 def iter_frames(
@@ -139,7 +140,7 @@ def _to_frame(
         channel_id=camera.channel_id,
         topic=camera.topic,
         frame_idx=frame_idx,
-        log_time_ns=message.log_time_ns,
+        log_time_ns=min(message.log_time_ns, _MAX_TIME_NS),
         publish_time_ns=message.publish_time_ns,
         stamp_ns=stamp_ns,
         frame_id=frame_id,

@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+WriteMode = Literal["copy", "sidecar", "none"]  # where annotations go
+SchemaName = Literal["protobuf", "ros2msg"]  # of annotations
+
+
 @dataclass(frozen=True, slots=True)
 class ChannelSummary:
     """A channel of a recording. `message_count` is None where neither statistics nor indexes tell."""
@@ -57,7 +61,10 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class ProcessResult:
-    """What `process` did with one recording; the fields are those of `process --json`."""
+    """What `process` did with one recording; the fields are those of `process --json`.
+
+    reason: what was lost of a recovered one, or that it is an annotated copy; warnings: what is odd about it.
+    """
 
     flight_id: str
     source: str
@@ -67,3 +74,5 @@ class ProcessResult:
     n_bad_frames: int
     n_segments: int
     seconds: float
+    reason: str | None = None
+    warnings: tuple[str, ...] = ()

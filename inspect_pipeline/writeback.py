@@ -46,35 +46,43 @@ _NO_COPY_RANGE = {errno.EXDEV, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, err
 def annotated_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
     """Write a copy of `source` with annotations to `target`, which must not exist.
 
-    On a clean exit the copy is complete and on disk; on an exception it is removed. Raises RecordingError
-    when the source is an annotated copy itself or changes meanwhile, OSError when the target cannot be
-    written.
+    On a clean exit the copy is complete, on an exception it is removed. Raises RecordingError when the source
+    is an annotated copy itself or changes meanwhile, OSError when the target cannot be written.
     """
     _refuse_annotated(source)
-    before = _fingerprint(source.path)
     end = source.layout.data_end
-    with _new_file(target) as file, source.path.open("rb") as original:
+    with _new_file(target) as file, unchanged(source), source.path.open("rb") as original:
         file.seek(end)
         writer = AnnotationWriter(file, source, Contents.of(source), end, source.layout.data_crc)
         writer.index_cut_chunk()
         with _copying(original, file, end):
             yield writer
             writer.finish()
-        if _fingerprint(source.path) != before or before[0] != source.size_bytes:
-            raise RecordingError(source.path, "it changed while it was copied", "wait until it is complete")
 
 
 @contextmanager
-def sidecar(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
-    """Write a file with nothing but annotations of `source` to `target`; else as `annotated_copy`."""
+def sidecar(source: Recording, target: Path, profile: str = "") -> Iterator[AnnotationWriter]:
+    """Write a file with nothing but annotations of `source` to `target`; else as `annotated_copy`.
+
+    `profile` is that of its header, "ros2" when all its messages are.
+    """
     _refuse_annotated(source)
-    header = Header(profile="", library=f"lsnet-pipe {version('lsnet-pipe')}")
+    header = Header(profile=profile, library=f"lsnet-pipe {version('lsnet-pipe')}")
     start = MAGIC + encode_records([header])
-    with _new_file(target) as file:
+    with _new_file(target) as file, unchanged(source):
         file.write(start)
         writer = AnnotationWriter(file, source, Contents(), len(start), zlib.crc32(start))
         yield writer
         writer.finish()
+
+
+@contextmanager
+def unchanged(source: Recording) -> Iterator[None]:
+    """Raise RecordingError on a clean exit when the file is no longer the one that was opened."""
+    before = _fingerprint(source.path)
+    yield
+    if _fingerprint(source.path) != before or before[0] != source.size_bytes:
+        raise RecordingError(source.path, "it changed while it was read", "wait until it is complete")
 
 
 class AnnotationWriter:
@@ -109,7 +117,7 @@ class AnnotationWriter:
         taken = (*self._source.layout.channels.values(), *self._contents.channels.values())
         if any(channel.topic == topic for channel in taken):
             raise RecordingError(
-                self._source.path, f"it has a channel {topic} already", "write its annotations to a sidecar"
+                self._source.path, f"it has a channel {topic} already", "process it with --write none"
             )
         schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
         channel_id = self._free_id(self._contents.used_channel_ids)
@@ -168,7 +176,9 @@ class AnnotationWriter:
         if free > _MAX_ID:
             free = next((i for i in range(1, _MAX_ID) if i not in used), 0)
         if not free:
-            raise RecordingError(self._source.path, "it has no channel ids left", "write a sidecar")
+            raise RecordingError(
+                self._source.path, "it has no channel ids left", "process it with --write sidecar"
+            )
         return free
 
     def _flush_chunk(self) -> None:
@@ -199,12 +209,10 @@ def _fingerprint(path: Path) -> tuple[int, int, int]:
 
 @contextmanager
 def _new_file(target: Path) -> Iterator[BinaryIO]:
-    """A file at `target` that is on disk after a clean exit and gone after an exception."""
+    """A file at `target` that is gone after an exception."""
     with target.open("xb") as file:
         try:
             yield file
-            file.flush()
-            os.fsync(file.fileno())
         except BaseException:
             target.unlink(missing_ok=True)
             raise

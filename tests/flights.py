@@ -83,6 +83,8 @@ def record(name: str, totals: FlightTotals) -> FlightRecord:
         source_bytes=1234,
         status="ok",
         reason=None,
+        warnings=(),
+        annotations="annotated.mcap",
         ingested_at=datetime(2026, 1, 2, 3, 4, 6, 500_000, tzinfo=UTC),
         run=RUN,
         model=MODEL,

@@ -87,7 +87,7 @@ def test_process_prints_one_object_per_recording(run: Callable[..., Outcome], tm
     assert os.path.getsize(first["annotated"]) > (tmp_path / "a.mcap").stat().st_size  # noqa: PTH202
     assert set(first) == {
         *("flight_id", "source", "status", "annotated"),
-        *("n_frames", "n_bad_frames", "n_segments", "seconds"),
+        *("n_frames", "n_bad_frames", "n_segments", "seconds", "reason", "warnings"),
     }
 
 
@@ -162,7 +162,7 @@ def _unknown_encoding(path: Path) -> None:
     [
         (_not_an_mcap, "MCAP"),
         (_empty, "empty"),
-        (_folder, "not a file"),
+        (_folder, "lsnet-pipe pack"),
         (_missing, "there is no such file"),
         (_no_camera, "no camera topic"),
         (_unknown_encoding, "bson"),
@@ -192,6 +192,44 @@ def test_a_recording_that_is_cut_off(run: Callable[..., Outcome], tmp_path: Path
     result = json.loads(outcome.out)
     assert (outcome.exit_code, result["status"]) == (0, "recovered")
     assert 0 < result["n_frames"] < 40
+    assert "bytes are lost" in result["reason"]
+    assert outcome.err == f"warning: a.mcap: recovered: {result['reason']}\n"
+    assert run("process", "a.mcap").err == ""  # told once
+
+
+def test_what_is_odd_about_a_recording_is_a_warning(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", [shot._replace(topic="/a\x1b[2J") for shot in shots(30)] * 2)
+    outcome = run("process", "a.mcap", "--json")
+    warnings = json.loads(outcome.out)["warnings"]
+    assert outcome.exit_code == 0
+    assert len(warnings) == 2
+    assert outcome.err.splitlines() == [f"warning: a.mcap: {w}".replace("\x1b", "?") for w in warnings]
+    assert warnings[1] == "/a\x1b[2J: 30 images with the header stamp of the one before"
+
+
+@pytest.mark.parametrize("schema", ["protobuf", "ros2msg"])
+@pytest.mark.parametrize(
+    ("write", "name"), [("copy", "annotated.mcap"), ("sidecar", "annotations.mcap"), ("none", None)]
+)
+def test_where_annotations_go(
+    run: Callable[..., Outcome], tmp_path: Path, write: str, name: str | None, schema: str
+) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    outcome = run("process", "a.mcap", "--write", write, "--schema", schema, "--json")
+    result = json.loads(outcome.out)
+    folder = tmp_path / "store" / "flights" / result["flight_id"][:16]
+    assert result["annotated"] == (f"{folder}/{name}" if name else None)
+    assert [path.name for path in folder.glob("*.mcap")] == ([name] if name else [])
+    assert "frame 2 of" in run("overlay", result["flight_id"], "-o", "o.png").out
+    if name:
+        shown = run("info", folder / name).out
+        kind = {"protobuf": "(lsnet.Detections, protobuf)", "ros2msg": "(lsnet_msgs/msg/Detections, cdr)"}
+        assert f"lsnet/detections: 3 messages {kind[schema]}" in shown
+        assert json.loads(run("process", folder / name, "--json").out)["reason"] == "it is an annotated copy"
+    else:
+        (tmp_path / "a.mcap").write_bytes(b"something else")
+        assert run("overlay", result["flight_id"], "-o", "o.png").exit_code == 1
+    assert json.loads(run("process", folder / name, "--json").out)["status"] == "skipped" if name else True
 
 
 @pytest.mark.parametrize("command", ["process", "info"])

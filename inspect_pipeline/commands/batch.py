@@ -12,8 +12,10 @@ from inspect_pipeline.commands.batch_log import LogFormat, open_log, printable
 from inspect_pipeline.commands.options import (
     MinScoreOption,
     ScaleOption,
+    SchemaOption,
     StoreOption,
     WeightsOption,
+    WriteOption,
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
@@ -66,6 +68,8 @@ def batch(
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
     ] = False,
+    write: WriteOption = "copy",
+    schema: SchemaOption = "protobuf",
     weights: WeightsOption = "fast",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
@@ -93,7 +97,9 @@ def batch(
     from inspect_pipeline.worker import Job, LoadDetector
 
     the_store = Store(store_path(store))
-    process_options = ProcessOptions(tuple(topic) if topic else None, every, strict=strict)
+    process_options = ProcessOptions(
+        tuple(topic) if topic else None, every, strict=strict, write=write, schema=schema
+    )
     job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score))
     options = BatchOptions(
         inboxes=tuple(inbox),

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _LINES = {
     "batch started": "{n_found} recordings in the inbox, {n_due} to look at",
     "recording done": "{path}: {status}, {n_frames} frames, {n_segments} segments, {duration_s:.1f} s",
+    "recording damaged": "{path}: damaged: {reason}",
+    "recording odd": "{path}: {warning}",
     "recording quarantined": "{path}: in quarantine after attempt {attempts}, {reason}: {detail}",
     "recording changed while it was read": "{path}: changed while it was read, left for the next run",
     "recording still being written": "{path}: still being written, left for the next run",
@@ -28,7 +30,7 @@ _LINES = {
     "index published": "index published, {n_flights} flights",
 }
 _ENDS = ("recording done", "recording quarantined", "recording changed while it was read")
-_PROBLEMS = (*_ENDS[1:], "link out of the inbox left alone")
+_PROBLEMS = (*_ENDS[1:], "recording damaged", "recording odd", "link out of the inbox left alone")
 
 
 class LogFormat(StrEnum):

@@ -14,15 +14,23 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording import Recording
 
 
-def info(file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording (MCAP).")]) -> None:
+def info(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A recording (MCAP), or the folder of a split one.")
+    ],
+) -> None:
     """Show what a recording holds, and what `process` would make of it.
 
     Example: lsnet-pipe info flight.mcap
     """
-    from inspect_pipeline.recording import open_recording
+    from inspect_pipeline.sources import open_source
 
-    for line in _describe(open_recording(file)):
-        typer.echo(line)
+    source = open_source(file)
+    if len(source.parts) > 1:
+        typer.echo(f"flight    {source.flight_id}, of {len(source.parts)} parts:\n")
+    for part in source.parts:
+        for line in _describe(part):
+            typer.echo(line)
 
 
 def _describe(recording: Recording) -> Iterator[str]:

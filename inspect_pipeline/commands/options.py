@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from inspect_pipeline.types import SchemaName, WriteMode
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -38,5 +40,12 @@ ScaleOption = Annotated[
 MinScoreOption = Annotated[
     float | None,
     typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Least score of a segment; else the weights' own."),
+]
+WriteOption = Annotated[
+    WriteMode,
+    typer.Option(help="Annotations to a copy of the recording, a file of their own, or nowhere."),
+]
+SchemaOption = Annotated[
+    SchemaName, typer.Option(help="Of the annotations: protobuf, or ROS 2 messages for those who play bags.")
 ]
 RuntimeOption = Annotated[str, typer.Option(metavar="NAME", help="auto, torch or openvino.")]

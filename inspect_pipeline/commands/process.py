@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspect_pipeline.commands.batch_log import printable
 from inspect_pipeline.commands.options import (
     JsonOption,
     MinScoreOption,
     ScaleOption,
+    SchemaOption,
     StoreOption,
     WeightsOption,
+    WriteOption,
     parse_time_ns,
 )
 from inspect_pipeline.commands.progress import progress_bar
@@ -28,7 +31,9 @@ _ROW = (
 
 
 def process(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP).")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP), or folders of split ones.")
+    ],
     store: StoreOption = None,
     as_json: JsonOption = False,
     topic: Annotated[
@@ -45,12 +50,16 @@ def process(
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
     ] = False,
+    write: WriteOption = "copy",
+    schema: SchemaOption = "protobuf",
     force: Annotated[bool, typer.Option("--force", help="Process again what is in the store.")] = False,
     weights: WeightsOption = "fast",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
 ) -> None:
     """Find the lines in recordings: write them to annotated copies in the store, and index them.
+
+    What was lost of a damaged recording, and what is odd about one, is a warning on stderr.
 
     Example: lsnet-pipe process flight.mcap --store /data/inspections --json
     """
@@ -59,7 +68,9 @@ def process(
     from inspect_pipeline.store import Store, store_path
     from lsnet import Detector
 
-    options = config.ProcessOptions(tuple(topic) if topic else None, every, start, end, strict, force)
+    options = config.ProcessOptions(
+        tuple(topic) if topic else None, every, start, end, strict, force, write=write, schema=schema
+    )
     the_store = Store(store_path(store))
     detector = Detector.load(weights, scale=scale, min_score=min_score)
     run = config.start_run(detector, options)
@@ -79,6 +90,7 @@ def process(
     for path in files:
         try:
             results.append(process_one(path))
+            _warn(results[-1])
         except InspectError as error:
             typer.echo(f"error: {error}", err=True)
             exit_code = error.exit_code
@@ -88,6 +100,13 @@ def process(
         index.publish(the_store)
     _print_results(results, as_json=as_json)
     raise typer.Exit(exit_code)
+
+
+def _warn(result: ProcessResult) -> None:
+    """Tell what was lost of a recording, and what is odd about it."""
+    lost = [f"{result.status}: {result.reason}"] if result.reason else []
+    for warning in (*lost, *result.warnings):
+        typer.echo(printable(f"warning: {result.source}: {warning}"), err=True)
 
 
 def _print_results(results: list[ProcessResult], *, as_json: bool) -> None:

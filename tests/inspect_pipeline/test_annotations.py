@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from inspect_pipeline.annotations import (
-    FrameAnnotator,
+from inspect_pipeline.annotations import FrameAnnotator
+from inspect_pipeline.annotations_protobuf import (
     detections_schema,
     encode_detections,
     encode_image_annotations,

@@ -198,6 +198,27 @@ def test_odd_log_times_are_told(tmp_path: Path, start_ns: int, step_ns: int, war
     assert len(list(iter_frames(recording))) == 3
 
 
+@pytest.mark.parametrize("name", ["mcap", "unindexed", "sdk"])
+def test_messages_out_of_order_are_told(tmp_path: Path, name: str) -> None:
+    in_order = shots(60)
+    mixed = in_order[::2] + in_order[1::2]
+
+    def write(to_write: list[Shot]) -> Path:
+        if name == "sdk":
+            return factories.make_recording_with_sdk(tmp_path / f"{id(to_write)}.mcap", to_write)
+        return make_recording(tmp_path / f"{id(to_write)}.mcap", to_write, **WRITERS[name])
+
+    assert open_recording(write(in_order)).warnings == []
+    (warning,) = open_recording(write(mixed)).warnings
+    assert warning == "its messages are out of order: 1 stretches begin before the one ahead"
+
+
+def test_log_times_beyond_what_databases_hold(tmp_path: Path) -> None:
+    to_write = [Shot(1, log_time_ns=2**64 - 2), Shot(0)]
+    path = make_recording(tmp_path / "a.mcap", to_write, n_gps_per_shot=0, encoding="json")
+    assert [f.log_time_ns for f in iter_frames(open_recording(path))] == [START_NS, 2**63 - 1]
+
+
 def test_an_annotated_copy_belongs_to_the_flight_it_names(tmp_path: Path) -> None:
     metadata = {"lsnet_pipe.run": {"flight_id": "ab" * 32}}
     recording = open_recording(make_recording(tmp_path / "a.mcap", shots(2), metadata=metadata))

@@ -12,10 +12,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import pytest
 from factories import make_recording, shots
 from flights import versions, versions_in_index
+from stores import check_visible, contents, file_names
 
 from inspect_pipeline.store import Store
 
@@ -23,8 +23,6 @@ pytestmark = [pytest.mark.reliability, pytest.mark.timeout(1800)]
 N_RECORDINGS = 12
 LAST = "last"  # weights that no killed batch has
 DRIVER = Path(__file__).with_name("driver.py")
-# What differs between two runs over the same recordings, by nature.
-NOT_COMPARED = "EXCLUDE (run_id, ingested_at, result_sha256)"
 
 
 @pytest.fixture(scope="module")
@@ -99,39 +97,6 @@ def n_written(store: Store) -> int:
     return manifest.read_text().count('"event": "flight"') if manifest.exists() else 0
 
 
-def check_visible(store: Store) -> None:
-    """Whatever can be seen is whole, and there once."""
-    if (store.root / "flights").exists():
-        versions(store)
-    if store.index_path.exists():
-        versions_in_index(store)
-        with duckdb.connect(store.index_path, read_only=True) as connection:
-            twice = "SELECT 1 FROM frames GROUP BY flight_id, channel_id, frame_idx HAVING count(*) > 1"
-            assert connection.execute(twice).fetchall() == []
-    assert not (store.root / "quarantine").exists()
-
-
-def contents(store: Store) -> dict[str, list[tuple[Any, ...]]]:
-    with duckdb.connect(store.index_path, read_only=True) as connection:
-        selections = {
-            "flights": NOT_COMPARED,
-            "channels": "",
-            "frames": "EXCLUDE (infer_ms)",
-            "segments": "",
-            "lines": "",
-        }
-        return {
-            table: connection.execute(f"SELECT * {how} FROM {table} ORDER BY ALL").fetchall()
-            for table, how in selections.items()
-        }
-
-
-def files(store: Store) -> set[str]:
-    """The files of a store but those named after runs, and without the log."""
-    found = {path.relative_to(store.root).as_posix() for path in store.root.rglob("*") if path.is_file()}
-    return {name for name in found if not name.startswith("runs/")}
-
-
 @pytest.mark.parametrize(
     ("seed", "n_rounds"),
     [*((i, 5) for i in range(4)), *(pytest.param(i, 10, marks=pytest.mark.slow) for i in range(4, 36))],
@@ -148,7 +113,7 @@ def test_killed_at_random_points(
     assert start(inbox, store, LAST).wait() == 0
     check_visible(store)
     assert contents(store) == contents(undisturbed)
-    assert files(store) == files(undisturbed)
+    assert file_names(store) == file_names(undisturbed)
     assert len(versions(store)) == len(versions_in_index(store)) == N_RECORDINGS
     print(f"{victims.count('driver')} drivers and {victims.count('worker')} workers killed")
 

@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import random
 import resource
+import shutil
 import struct
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import factories
 import lz4.frame
 import pytest
 import zstandard
-from factories import RawPixels, make_recording, shots
-from mcap.writer import CompressionType
+from factories import ENCODINGS, RawPixels, make_recording, shots
+from fakes import FakeDetector
+from mcap.writer import CompressionType, Writer
 
+from inspect_pipeline import index
+from inspect_pipeline.annotations_protobuf import PROTOBUF
+from inspect_pipeline.annotations_ros2 import ROS2
+from inspect_pipeline.authoring import new_recording
+from inspect_pipeline.calibrations import read_intrinsics
+from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.pipeline import process
+from inspect_pipeline.poses import read_poses
 from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
+from inspect_pipeline.recording_summary import MAGIC
+from inspect_pipeline.store import Store
 from inspect_pipeline.writeback import annotated_copy
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
 MAX_SECONDS = 10
@@ -47,6 +61,30 @@ def sources(folder: Path) -> list[bytes]:
     raws = [shot._replace(data=pixels) for shot in shots(5)]
     raw_encoding = factories.RAW_ENCODINGS["ros2"]
     path = make_recording(folder / "raw.mcap", raws, encoding=raw_encoding, compression=CompressionType.NONE)
+    made.append(path.read_bytes())
+    with new_recording(folder / "posed.mcap") as author:
+        for shot in shots(5):
+            time_ns, image = shot.log_time_ns, factories.encoded_picture(shot.number)
+            author.write_location(
+                "/gps", time_ns, "gps", latitude_deg=47.0, longitude_deg=8.0, altitude_m=9.0
+            )
+            author.write_attitude("/gimbal", time_ns, "map", "camera", (1.0, 0.0, 0.0, 0.0))
+            author.write_calibration(
+                "/camera/calibration",
+                time_ns,
+                "camera",
+                image_size=(12, 16),
+                focal_px=(9.0, 9.0),
+                centre_px=(8.0, 6.0),
+            )
+            author.write_image("/camera/image", time_ns, "camera", image, "png")
+    made.append((folder / "posed.mcap").read_bytes())
+    video = factories.Encoding(
+        "foxglove.CompressedVideo", "jsonschema", b"{}", "json", ENCODINGS["json"].encode
+    )
+    stream = [b"\0\0\0\1\x67" + bytes(range(9)), *[b"\0\0\0\1\x41" + bytes(range(30))] * 4]
+    pieces = [shot._replace(data=data) for shot, data in zip(shots(5), stream, strict=True)]
+    path = make_recording(folder / "video.mcap", pieces, encoding=video, enable_crcs=False)
     return [*made, path.read_bytes()]
 
 
@@ -77,10 +115,13 @@ def mutate(content: bytes, random: random.Random) -> bytes:
 
 
 def use(path: Path, target: Path) -> int:
-    """Read a recording and annotate it, as `process` does; the number of frames."""
+    """Read a recording and annotate it, the part of `process` that damage can hurt; the number of frames."""
     target.unlink(missing_ok=True)
     try:
         recording = open_recording(path)
+        read_poses(recording)
+        for camera in recording.camera_channels:
+            read_intrinsics(recording, camera)
         with annotated_copy(recording, target) as out:
             channel_id = out.add_channel(
                 "/notes",
@@ -94,6 +135,8 @@ def use(path: Path, target: Path) -> int:
             for frame in iter_frames(recording):
                 assert (frame.image is None) == (frame.error is not None)
                 out.write(channel_id, frame.log_time_ns, frame.publish_time_ns, b"{}")
+                for schema in (*PROTOBUF, *ROS2):
+                    schema.encode(frame, None)
                 n_frames += 1
     except RecordingError as error:
         message = str(error)
@@ -107,36 +150,91 @@ def use(path: Path, target: Path) -> int:
     return 0
 
 
-def check_mutations(tmp_path: Path, n_mutations: int, seed: int) -> None:
-    generator = random.Random(seed)  # noqa: S311
-    originals = sources(tmp_path / "sources")
-    path, target = tmp_path / "mutated.mcap", tmp_path / "annotated.mcap"
+def process_whole(path: Path, store: Store) -> None:
+    """The whole of `process`, with the index at its end."""
+    detector, options = FakeDetector(), ProcessOptions()
+    with suppress(RecordingError):
+        process(path, store, detector, options, start_run(detector, options))
+        index.publish(store)
+
+
+def check(tmp_path: Path, contents: Iterable[tuple[str, bytes]], process_every: int = 0) -> int:
+    """Use each content of a recording; how many had frames."""
+    path, target, store = tmp_path / "mutated.mcap", tmp_path / "annotated.mcap", Store(tmp_path / "store")
     memory_before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     n_read = 0
-    for number in range(n_mutations):
-        content = mutate(generator.choice(originals), generator)
+    for number, (name, content) in enumerate(contents):
         path.write_bytes(content)
         started = time.monotonic()
         try:
             n_read += bool(use(path, target))
+            if process_every and number % process_every == 0:
+                process_whole(path, store)
+                shutil.rmtree(store.root, ignore_errors=True)
             assert time.monotonic() - started < MAX_SECONDS
         except Exception as error:
-            kept = tmp_path / f"failed-{seed}-{number}.mcap"
+            kept = tmp_path / f"failed-{name}.mcap"
             kept.write_bytes(content)
-            raise AssertionError(f"mutation {number} of seed {seed}, kept as {kept}") from error
+            raise AssertionError(f"{name}, kept as {kept}") from error
     grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_before_kb
     assert grown_kb < MAX_MEMORY_GROWTH_MB * 1024
-    assert n_read > n_mutations // 4
+    return n_read
+
+
+def mutations(originals: Sequence[bytes], count: int, seed: int) -> Iterator[tuple[str, bytes]]:
+    generator = random.Random(seed)  # noqa: S311
+    for number in range(count):
+        yield f"{seed}-{number}", mutate(generator.choice(originals), generator)
 
 
 def test_some_mutations(tmp_path: Path) -> None:
-    check_mutations(tmp_path, 300, seed=1)
+    originals = sources(tmp_path / "sources")
+    assert check(tmp_path, mutations(originals, 300, seed=1), process_every=100) > 75
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(2, 6))
+def test_many_mutations(tmp_path: Path, seed: int) -> None:
+    originals = sources(tmp_path / "sources")
+    assert check(tmp_path, mutations(originals, 5_000, seed), process_every=10) > 1250
+
+
+def cuts(originals: Iterable[bytes]) -> Iterator[tuple[str, bytes]]:
+    """Every recording cut off at, before and behind every record."""
+    for number, content in enumerate(originals):
+        at = len(MAGIC)
+        while at + 9 <= len(content):
+            for length in (at - 1, at, at + 1, at + 9):
+                yield f"cut-{number}-{length}", content[:length]
+            at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_many_mutations(tmp_path: Path) -> None:
-    check_mutations(tmp_path, 20_000, seed=2)
+def test_cuts_at_every_record(tmp_path: Path) -> None:
+    originals = sources(tmp_path / "sources")
+    assert check(tmp_path, cuts(originals), process_every=10) > 1000
+
+
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_an_id_that_is_used_twice(tmp_path: Path, use_chunking: bool) -> None:
+    """Of two channels with one id the images still come, under one topic."""
+    path = tmp_path / "a.mcap"
+    how = ENCODINGS["ros2"]
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=use_chunking, chunk_size=1)
+        writer.start()
+        for topic in ("/a/image", "/b/image"):
+            schema_id = writer.register_schema(how.schema_name, "ros2msg", topic.encode())
+            channel_id = writer.register_channel(topic, how.message_encoding, schema_id)
+            for shot in shots(3):
+                payload = how.encode(shot.log_time_ns, "cam", factories.encoded_picture(shot.number))
+                writer.add_message(channel_id, shot.log_time_ns, payload, shot.log_time_ns)
+            writer._Writer__channels.clear()  # so that the ids begin anew
+            writer._Writer__schemas.clear()
+        writer.finish()
+    assert use(path, tmp_path / "b.mcap") == 6
 
 
 def bomb(tmp_path: Path, compression: str, declared_bytes: int, data: bytes) -> Path:

@@ -8,6 +8,8 @@ InspectError
 ├── InboxError           a folder or file of the inbox that is not there
 ├── OutputError          a file that cannot be written where it was asked for
 ├── HookError            a command of --on-finish that fails
+├── RulesError           thresholds that cannot be used
+├── SpansError           spans that cannot be used
 ├── QueryError           an SQL statement that is refused or fails
 └── DetectorError        weights, images or training data that cannot be used
 """
@@ -86,6 +88,22 @@ class HookError(InspectError):
 
 class QueryError(InspectError):
     """Raised when an SQL statement is refused or fails."""
+
+
+class RulesError(InspectError):
+    """Raised when a file of rules cannot be used: `path: problem; remedy`."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(f"{path}: {problem}; {remedy}")
+        self.path, self.problem, self.remedy = path, problem, remedy
+
+
+class SpansError(InspectError):
+    """Raised when a file of spans cannot be used: `path: problem; remedy`."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(f"{path}: {problem}; {remedy}")
+        self.path, self.problem, self.remedy = path, problem, remedy
 
 
 class DetectorError(InspectError):

@@ -1,0 +1,205 @@
+"""Rules about how the conductors of a span hang beside each other.
+
+A lane is a track within a span: where it appears across, bin by bin, and what follows about its sag. A view
+from one side cannot tell a conductor that hangs lower from one that hangs farther away: what bends as a
+parabola over the whole span is taken for sag, anything else for a change across.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from inspect_pipeline.anomaly_frames import Finding, runs_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.anomaly_spans import SpanEvidence
+    from inspect_pipeline.projection import LocalMetres
+    from inspect_pipeline.rules import Rules
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+
+_USUAL_QUANTILE = 0.8  # of the distances of two lanes along the span, as what is usual for them
+_RAISED_M = 3.0  # how far conductors of one span hang above or below each other
+_NOISE_M = 0.05  # of a crossing
+_TURNS = 4
+_MISFIT_QUANTILE = 0.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """A track in a span.
+
+    across_m (B,): where it appears, NaN where it is not seen, or not at one place. sag_m: how low it hangs in
+    the middle, as a parabola, and misfit_m how far it is from one; NaN where too little of it is seen.
+    """
+
+    track: int
+    across_m: Floats
+    sag_m: float
+    misfit_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights:
+    """Lines of sight (C,): from where along, to the side and above the plane, and metres per metre down."""
+
+    from_m: Floats
+    side_m: Floats
+    above_m: Floats
+    ahead: Floats
+    slope: Floats
+
+    def select(self, chosen: NDArray[np.bool_]) -> Sights:
+        """Some of them."""
+        return Sights(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+
+def make_lanes(one: SpanEvidence, rules: Rules) -> list[Lane]:
+    """The tracks of a span that are seen at enough places."""
+    view, axis = one.view, one.axis
+    tracks = one.lines_track[view.line]
+    sights = _sights(one)
+    lanes = []
+    for track in np.unique(tracks).tolist():
+        own = tracks == track
+        bins = view.bin[own]
+        across_m = _place_by_bin(view.across_m[own], bins, len(axis.middles), rules)
+        seen_m = np.isfinite(across_m).sum() * axis.bin_m
+        is_enough = seen_m >= rules.of("sag_change")["min_share"] * axis.length_m
+        fit = _fit_sag(sights.select(own), axis.length_m) if is_enough else (np.nan, np.nan)
+        lanes.append(Lane(track, across_m, *fit))
+    return lanes
+
+
+def _sights(one: SpanEvidence) -> Sights:
+    """How each crossing of a view was seen."""
+    axis, view = one.axis, one.view
+    positions = one.cameras.positions[view.frame]
+    ground = positions[:, :2] - axis.start
+    side_m, above_m = ground @ axis.across, positions[:, 2] - axis.height_m
+    from_m = ground @ axis.along
+    return Sights(
+        from_m=from_m,
+        side_m=side_m,
+        above_m=above_m,
+        ahead=(axis.bins_m[view.bin] - from_m) / above_m,
+        slope=(view.across_m - side_m) / above_m,
+    )
+
+
+def _fit_sag(seen: Sights, length_m: float) -> tuple[float, float]:
+    """How far below its ends a conductor hangs in the middle of its span, and the median misfit, in metres.
+
+    A conductor at y, hung e above the plane and sagging by s, is seen at a slope q across per metre down:
+    y - side = q (above - e + s p), with p = 4 x (1 - x) at a share x of the span; and x itself follows from
+    how far down it is. Least squares in turns, with e held near 0, leaving out what fits badly.
+    """
+    depth_m = seen.above_m
+    wanted = seen.side_m + seen.slope * seen.above_m
+    fits = np.ones(len(wanted), bool)
+    away = np.zeros(len(wanted))
+    sag_m = 0.0
+    for _ in range(_TURNS):
+        share = np.clip((seen.from_m + seen.ahead * depth_m) / length_m, 0, 1)
+        parabola = 4 * share * (1 - share)
+        terms = np.column_stack((np.ones_like(share), seen.slope, -seen.slope * parabola))
+        weight = np.sqrt(max(fits.sum(), 1)) * _NOISE_M / _RAISED_M
+        rows = np.vstack((terms[fits], [0.0, weight, 0.0]))
+        y_m, raised_m, sag_m = np.linalg.lstsq(rows, np.append(wanted[fits], 0.0), rcond=None)[0]
+        away = np.abs(terms @ (y_m, raised_m, sag_m) - wanted)
+        fits = away <= 4 * max(float(np.median(away)), 0.01)
+        depth_m = seen.above_m - raised_m + sag_m * parabola
+    return float(sag_m), float(np.quantile(away, _MISFIT_QUANTILE))
+
+
+def _place_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Floats:
+    """(B,) the median of each bin; NaN without any, or where a moving view shows it at many places."""
+    medians = np.full(n_bins, np.nan)
+    order = np.argsort(bins, kind="stable")
+    edges = np.flatnonzero(np.diff(bins[order])) + 1
+    for group in np.split(order, edges) if len(order) else ():
+        low, middle, high = np.quantile(across_m[group], (0.1, 0.5, 0.9))
+        if high - low <= rules.of("conductors_converging")["max_spread_m"]:
+            medians[bins[group[0]]] = middle
+    return medians
+
+
+def find_converging(
+    one: SpanEvidence, lanes: Sequence[Lane], origin: LocalMetres, rules: Rules
+) -> Iterator[Finding]:
+    """Two conductors that come much closer than they are along most of the span; those that lose most."""
+    found: list[Finding] = []
+    for i, first in enumerate(lanes):
+        for second in lanes[i + 1 :]:
+            found += list(_approaches(one, first, second, origin, rules))
+    while found:
+        best = max(found, key=lambda one: one.threshold - one.value)
+        yield best
+        found = [one for one in found if one.rows[0] > best.rows[-1] or one.rows[-1] < best.rows[0]]
+
+
+def _approaches(
+    one: SpanEvidence, first: Lane, second: Lane, origin: LocalMetres, rules: Rules
+) -> Iterator[Finding]:
+    limits, span_id = rules.of("conductors_converging"), one.axis.span_id
+    apart_m = np.abs(first.across_m - second.across_m)
+    known = np.flatnonzero(np.isfinite(apart_m))
+    if len(known) * one.axis.bin_m < 2 * limits["min_length_m"]:
+        return
+    usual_m = float(np.quantile(apart_m[known], _USUAL_QUANTILE))
+    if usual_m < limits["min_usual_m"]:
+        return
+    limit_m = limits["max_share"] * usual_m
+    for run in runs_of(apart_m[known] < limit_m, limits["min_length_m"] / one.axis.bin_m):
+        bins = known[run]
+        least_m = float(apart_m[bins].min())
+        yield Finding(
+            "conductors_converging",
+            one.rows_showing(bins),
+            f"two conductors appear {least_m:.1f} m apart in span {span_id}, elsewhere {usual_m:.1f} m",
+            least_m,
+            limit_m,
+            "m",
+            track_id=first.track,
+            span_id=span_id,
+            place=one.place(bins, origin),
+        )
+
+
+def find_sag_changes(
+    one: SpanEvidence, lanes: Sequence[Lane], origin: LocalMetres, rules: Rules
+) -> Iterator[Finding]:
+    """A conductor that hangs lower, or higher, than the median of the others; the oddest of a span."""
+    limits = rules.of("sag_change")
+    measured = [lane for lane in lanes if np.isfinite(lane.sag_m)]
+    if len(measured) < 3:
+        return
+    usual_m = float(np.median([lane.sag_m for lane in measured]))
+    oddest = max(measured, key=lambda lane: abs(lane.sag_m - usual_m))
+    difference_m = oddest.sag_m - usual_m
+    limit_m = limits["min_difference_m"]
+    if abs(difference_m) < limit_m or oddest.misfit_m > limits["max_misfit_m"]:
+        return
+    word = "lower" if difference_m > 0 else "higher"
+    share = one.axis.bins_m / one.axis.length_m
+    bins = np.flatnonzero((share * (1 - share) > 0.125) & np.isfinite(oddest.across_m))
+    if len(bins):
+        yield Finding(
+            "sag_change",
+            one.rows_showing(bins),
+            f"a conductor hangs {abs(difference_m):.1f} m {word} than the others of span {one.axis.span_id}",
+            abs(difference_m),
+            limit_m,
+            "m",
+            track_id=oddest.track,
+            span_id=one.axis.span_id,
+            place=one.place(bins, origin),
+        )

@@ -1,0 +1,209 @@
+"""Rules about the conductors of a span, which is looked at bin by bin, over all frames that show it.
+
+How many conductors a frame shows in a bin is one number; what counts is the median over frames, so that a
+line missed here or clutter taken for one there says nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from inspect_pipeline.anomaly_frames import Finding, runs_of
+from inspect_pipeline.anomaly_lanes import find_converging, find_sag_changes, make_lanes
+from inspect_pipeline.coverage import is_near
+from inspect_pipeline.observations import NO_TRACK, completed_lines, place_cameras, tracked_lines
+from inspect_pipeline.span_views import SpanAxis, SpanView, make_axis, view_span, visible_gsd_m
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.observations import CameraRows, SpanRow
+    from inspect_pipeline.projection import Cameras, LocalMetres
+    from inspect_pipeline.rules import Rules
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+
+_OUTERMOST = (0.02, 0.98)  # quantiles of where lines lie across
+
+
+@dataclass(frozen=True, eq=False)
+class SpanEvidence:
+    """What the frames of a camera show of the conductors of a span.
+
+    counts (N, B): conductors side by side in a bin, NaN where a frame does not show it. level (B,) is the
+    median over frames, NaN for bins that too few frames show.
+    """
+
+    axis: SpanAxis
+    view: SpanView
+    cameras: Cameras
+    lines_track: Ints
+    counts: Floats
+    level: Floats
+
+    def rows_showing(self, bins: Ints) -> Ints:
+        """The frames from the first to the last that show at least half as many of some bins as any does."""
+        shown = np.isfinite(self.counts[:, bins]).sum(axis=1)
+        rows = np.flatnonzero(shown >= max(1.0, shown.max() / 2))
+        return np.arange(rows[0], rows[-1] + 1)
+
+    def place(self, bins: Ints, origin: LocalMetres) -> tuple[float, float]:
+        """Latitude and longitude of the middle of some bins."""
+        lat_deg, lon_deg = origin.to_degrees(self.axis.middles[bins, :2].mean(axis=0))
+        return float(lat_deg), float(lon_deg)
+
+
+def find_on_spans(
+    camera: CameraRows,
+    spans: Sequence[SpanRow],
+    origin: LocalMetres,
+    is_usable: Mask,
+    rules: Rules,
+) -> list[Finding]:
+    """The findings about conductors on all spans that usable frames of the camera show."""
+    seen = gather_evidence(camera, spans, origin, is_usable, rules)
+    usual = _usual_count([one.level for one in seen])
+    found: list[Finding] = []
+    for one in seen:
+        expected = one.axis.expected_conductors or usual
+        if expected:
+            found += _find_deficits(one, expected, origin, rules)
+            found += _find_surplus(one, expected, origin, rules)
+        lanes = make_lanes(one, rules)
+        sagging = list(find_sag_changes(one, lanes, origin, rules))
+        # What sags may well seem to come closer to a neighbour: that is told once.
+        found += sagging or find_converging(one, lanes, origin, rules)
+    return found
+
+
+def gather_evidence(
+    camera: CameraRows, spans: Sequence[SpanRow], origin: LocalMetres, is_usable: Mask, rules: Rules
+) -> list[SpanEvidence]:
+    """The evidence of each span that enough frames of a camera show."""
+    lines = completed_lines(tracked_lines(camera.lines, rules), rules)
+    if not len(lines) or not np.any(lines.track != NO_TRACK):
+        return []
+    cameras = place_cameras(camera.frames, origin, rules)
+    cameras.positions[~is_usable] = np.nan
+    path = cameras.positions[np.isfinite(cameras.positions).all(axis=1), :2]
+    seen = []
+    for span in spans:
+        axis = make_axis(span, origin, rules)
+        if not is_near(axis.middles[:, :2], path, rules.coverage["near_m"]):
+            continue
+        view = view_span(axis, cameras, lines, rules)
+        counts = np.where(_shows_all(axis, view, cameras, rules), 0.0, np.nan)
+        # Pieces of one track are one conductor, however they overlap.
+        each = np.unique(np.column_stack((view.frame, view.bin, lines.track[view.line])), axis=0)
+        np.add.at(counts, (each[:, 0], each[:, 1]), 1.0)
+        level = _level(counts, rules)
+        if np.isfinite(level).any():
+            seen.append(SpanEvidence(axis, view, cameras, lines.track, counts, level))
+    return seen
+
+
+def _shows_all(axis: SpanAxis, view: SpanView, cameras: Cameras, rules: Rules) -> Mask:
+    """(N, B) whether a frame shows a bin as far to both sides as there are lines in any."""
+    if not len(view.across_m):
+        return np.isfinite(view.gsd_m)
+    is_shown = np.ones(view.gsd_m.shape, bool)
+    middles = axis.start + axis.bins_m[:, np.newaxis] * axis.along
+    for side_m in np.quantile(view.across_m, _OUTERMOST):
+        places = np.column_stack((middles + side_m * axis.across, np.full(len(middles), axis.height_m)))
+        is_shown &= np.isfinite(visible_gsd_m(cameras, places, rules.anomalies["margin_px"]))
+    return is_shown
+
+
+def _level(counts: Floats, rules: Rules) -> Floats:
+    """The median over frames of each bin that enough of them show; NaN elsewhere."""
+    level = np.full(counts.shape[1], np.nan)
+    is_known = np.isfinite(counts).sum(axis=0) >= rules.anomalies["min_views"]
+    level[is_known] = np.round(np.nanmedian(counts[:, is_known], axis=0))
+    return level
+
+
+def _usual_count(levels: Sequence[Floats]) -> int:
+    """The most frequent number of conductors over all bins of a flight, where no span says it."""
+    known = np.concatenate([level[np.isfinite(level)] for level in levels]) if levels else np.zeros(0)
+    known = known[known > 0].astype(np.int64)
+    return int(np.bincount(known).argmax()) if len(known) else 0
+
+
+def _inner_bins(one: SpanEvidence, rules: Rules) -> Mask:
+    """(B,) what was seen, without what is next to the structures."""
+    along_m, margin_m = one.axis.bins_m, rules.anomalies["margin_m"]
+    is_inner: Mask = (along_m >= margin_m) & (along_m <= one.axis.length_m - margin_m)
+    return is_inner & np.isfinite(one.level)
+
+
+def _find_deficits(one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules) -> Iterator[Finding]:
+    """Fewer conductors than expected: over the span, from somewhere to its end, or between two places."""
+    known = np.flatnonzero(_inner_bins(one, rules))
+    if not len(known):
+        return
+    lacking = one.level[known] < expected
+    bin_m = one.axis.bin_m
+    count_limits = rules.of("conductor_count")
+    if lacking.mean() >= count_limits["min_share"] and lacking.sum() * bin_m >= count_limits["min_length_m"]:
+        yield _about_count(one, known[lacking], expected, origin)
+        return
+    for run in runs_of(lacking, 1):
+        length_m = len(run) * bin_m
+        is_at_end = run[0] == 0 or run[-1] == len(known) - 1
+        kind = "conductor_lost" if is_at_end else "conductor_gap"
+        limit_m = rules.of(kind)["min_length_m"]
+        if length_m < limit_m:
+            continue
+        bins = known[run]
+        starts_m = one.axis.bins_m[bins[0]] - bin_m / 2
+        level = int(np.median(one.level[bins]))
+        if is_at_end:
+            edge_m = starts_m if run[0] > 0 else one.axis.bins_m[bins[-1]] + bin_m / 2
+            reason = f"{level} of {expected} conductors beyond {edge_m:.0f} m of span {one.axis.span_id}"
+        else:
+            where = f"{starts_m:.0f} m of span {one.axis.span_id}"
+            reason = f"{level} of {expected} conductors for {length_m:.1f} m from {where}"
+        yield Finding(
+            kind,
+            one.rows_showing(bins),
+            reason,
+            length_m,
+            limit_m,
+            "m",
+            span_id=one.axis.span_id,
+            place=one.place(bins, origin),
+        )
+
+
+def _find_surplus(one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules) -> Iterator[Finding]:
+    known = np.flatnonzero(_inner_bins(one, rules))
+    limits = rules.of("conductor_count")
+    surplus = one.level[known] > expected
+    is_long = surplus.sum() * one.axis.bin_m >= limits["min_length_m"]
+    if len(known) and is_long and surplus.mean() >= limits["min_share"]:
+        yield _about_count(one, known[surplus], expected, origin)
+
+
+def _about_count(one: SpanEvidence, bins: Ints, expected: int, origin: LocalMetres) -> Finding:
+    level = int(np.median(one.level[bins]))
+    reason = f"{level} conductors along span {one.axis.span_id}, where {expected} are expected"
+    rows = one.rows_showing(bins)
+    place = one.place(bins, origin)
+    return Finding(
+        "conductor_count",
+        rows,
+        reason,
+        level,
+        expected,
+        "conductors",
+        span_id=one.axis.span_id,
+        place=place,
+    )

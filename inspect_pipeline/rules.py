@@ -1,0 +1,76 @@
+"""Thresholds of coverage and anomalies: schemas/rules.toml, with single values replaced by people's own."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from inspect_pipeline.errors import RulesError
+from inspect_pipeline.resources import read_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Sections of values by name, as in schemas/rules.toml, which says what each one means."""
+
+    frames: Mapping[str, float]
+    tracks: Mapping[str, float]
+    coverage: Mapping[str, float]
+    anomalies: Mapping[str, Any]
+    check: Mapping[str, Any]
+
+    def of(self, kind: str) -> Mapping[str, float]:
+        """The thresholds of a kind of anomaly."""
+        section: Mapping[str, float] = self.anomalies[kind]
+        return section
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """All kinds of anomalies."""
+        return tuple(name for name, value in self.anomalies.items() if isinstance(value, dict))
+
+    @property
+    def sha256(self) -> str:
+        """Of all values; the same for files that mean the same."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def load_rules(path: Path | None = None) -> Rules:
+    """The shipped rules with the values of a file in their place, if it is there.
+
+    Raises RulesError for a file that cannot be read, an unknown name or a value of another type.
+    """
+    values = tomllib.loads(read_schema("rules.toml"))
+    if path is not None:
+        try:
+            own = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise RulesError(path, f"cannot be read ({error.strerror})", "check the name") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise RulesError(path, f"is no TOML ({error})", "mend it") from error
+        _replace(values, own, path, ())
+    return Rules(**values)
+
+
+def _replace(values: dict[str, Any], own: Mapping[str, Any], path: Path, section: tuple[str, ...]) -> None:
+    """Put the values of `own` into `values`, which has the same names and types."""
+    for name, value in own.items():
+        full = ".".join((*section, name))
+        if name not in values:
+            raise RulesError(path, f"unknown name {full}", f"known here: {', '.join(values)}")
+        known = values[name]
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if isinstance(known, dict) and isinstance(value, dict):
+            _replace(known, value, path, (*section, name))
+        elif type(known) is type(value) or (isinstance(known, int | float) and is_number):
+            values[name] = value
+        else:
+            raise RulesError(path, f"{full} has a value of another type", f"give one like {known!r}")

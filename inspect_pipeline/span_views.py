@@ -1,0 +1,152 @@
+"""What the frames of a camera show of a span, in metres along and across it.
+
+Lines are taken to lie at the height of the span's conductors: in this plane, a line of the picture becomes
+points (along, across). A conductor that hangs lower appears farther away, one that hangs higher nearer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.observations import LineRows, SpanRow
+    from inspect_pipeline.projection import Cameras, LocalMetres
+    from inspect_pipeline.rules import Rules
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class SpanAxis:
+    """A span in local metres, cut into bins: `middles` (B, 3) of them, on the axis of its conductors.
+
+    along, across: (2,) unit vectors of the plane.
+    """
+
+    span_id: str
+    start: Floats
+    along: Floats
+    across: Floats
+    length_m: float
+    bin_m: float
+    height_m: float
+    middles: Floats
+    expected_conductors: int | None
+
+    @property
+    def bins_m(self) -> Floats:
+        """(B,) the middles of the bins, along."""
+        middles: Floats = np.arange(0.5, len(self.middles)) * self.bin_m
+        return middles
+
+
+@dataclass(frozen=True, eq=False)
+class SpanView:
+    """What frames show of a span.
+
+    gsd_m (N, B): metres per pixel where a frame shows the middle of a bin, else NaN.
+    For each crossing of a line with the middle of a bin, in arrays (C,): the row of its frame, its line, the
+    bin, and how far across in metres.
+    """
+
+    gsd_m: Floats
+    frame: Ints
+    line: Ints
+    bin: Ints
+    across_m: Floats
+
+
+def make_axis(span: SpanRow, origin: LocalMetres, rules: Rules) -> SpanAxis:
+    """The axis of a span; conductors whose height is not known hang at the default, sagging as usual."""
+    limits = rules.coverage
+    start = origin.to_metres(span.from_lat_deg, span.from_lon_deg)
+    end = origin.to_metres(span.to_lat_deg, span.to_lon_deg)
+    length_m = float(np.hypot(*(end - start)))
+    along = (end - start) / max(length_m, 1e-9)
+    n_bins = max(1, round(length_m / limits["bin_m"]))
+    shares = (np.arange(n_bins) + 0.5) / n_bins
+    heights = [limits["default_height_m"] if h is None else h for h in (span.from_height_m, span.to_height_m)]
+    drops = 4 * limits["sag_share"] * length_m * shares * (1 - shares)
+    middles = start + shares[:, np.newaxis] * (end - start)
+    z = heights[0] + shares * (heights[1] - heights[0]) - drops
+    return SpanAxis(
+        span_id=span.span_id,
+        start=start,
+        along=along,
+        across=np.array([-along[1], along[0]]),
+        length_m=length_m,
+        bin_m=length_m / n_bins,
+        height_m=sum(heights) / 2,
+        middles=np.column_stack((middles, z)),
+        expected_conductors=span.expected_conductors,
+    )
+
+
+def visible_gsd_m(cameras: Cameras, points: Floats, margin_px: float = 0.0) -> Floats:
+    """(N, P): metres per pixel where a camera sees a point, else NaN."""
+    with np.errstate(invalid="ignore"):
+        pixels, depths = cameras.project(points)
+        limits = cameras.sizes[:, np.newaxis] - margin_px
+        is_seen = (depths > 0) & ((pixels >= margin_px) & (pixels < limits)).all(axis=-1)
+        ranges_m = np.linalg.norm(points[np.newaxis] - cameras.positions[:, np.newaxis], axis=-1)
+        gsd_m: Floats = np.where(is_seen, ranges_m / cameras.focal_px[:, np.newaxis], np.nan)
+    return gsd_m
+
+
+def view_span(
+    axis: SpanAxis, cameras: Cameras, lines: LineRows, rules: Rules, margin_px: float = 0.0
+) -> SpanView:
+    """What the frames show of a span, and which lines run along it."""
+    limits = rules.coverage
+    gsd_m = visible_gsd_m(cameras, axis.middles, margin_px)
+    places = to_plane(axis, cameras, lines)
+    frame, line, bins, across_m = _crossings(axis, lines, places, limits["max_angle_deg"])
+    is_near = (np.abs(across_m) <= limits["corridor_half_m"]) & np.isfinite(gsd_m[frame, bins])
+    return SpanView(gsd_m, frame[is_near], line[is_near], bins[is_near], across_m[is_near])
+
+
+def to_plane(axis: SpanAxis, cameras: Cameras, lines: LineRows) -> Floats:
+    """(P, 2) metres along and across of the points of lines; NaN for what is not below the camera."""
+    owner = np.repeat(lines.frame, np.diff(lines.first))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rays = cameras.rays(owner, lines.points)
+        reach = (axis.height_m - cameras.positions[owner, 2]) / rays[:, 2]
+        ground = cameras.positions[owner, :2] + reach[:, np.newaxis] * rays[:, :2] - axis.start
+        ground[~(reach > 0)] = np.nan
+    return np.column_stack((ground @ axis.along, ground @ axis.across))
+
+
+def _crossings(
+    axis: SpanAxis, lines: LineRows, places: Floats, max_angle_deg: float
+) -> tuple[Ints, Ints, Ints, Floats]:
+    """Where lines that run along the axis cross the middles of its bins: frame, line, bin, across."""
+    line = np.repeat(np.arange(len(lines)), np.diff(lines.first))
+    is_piece = line[1:] == line[:-1]
+    begin, end, owner = places[:-1][is_piece], places[1:][is_piece], line[:-1][is_piece]
+    chord = places[lines.first[1:] - 1] - places[lines.first[:-1]]
+    with np.errstate(invalid="ignore"):
+        is_along = np.abs(chord[:, 1]) <= np.tan(np.radians(max_angle_deg)) * np.abs(chord[:, 0])
+        low = np.minimum(begin[:, 0], end[:, 0]) / axis.bin_m - 0.5
+        high = np.maximum(begin[:, 0], end[:, 0]) / axis.bin_m - 0.5
+        kept = is_along[owner] & np.isfinite(low + high) & (high >= 0) & (low < len(axis.middles))
+    begin, end, owner = begin[kept], end[kept], owner[kept]
+    first = np.maximum(np.ceil(low[kept]), 0).astype(np.int64)
+    stop = np.minimum(np.ceil(high[kept]), len(axis.middles)).astype(np.int64)
+    counts = np.maximum(stop - first, 0)
+    piece = np.repeat(np.arange(len(counts)), counts)
+    bins = first[piece] + np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
+    run = end[piece] - begin[piece]
+    share = (axis.bins_m[bins] - begin[piece, 0]) / np.where(run[:, 0] == 0, 1.0, run[:, 0])
+    across_m = begin[piece, 1] + share * run[:, 1]
+    # A line that wavers over the middle of a bin crosses it once.
+    key = owner[piece] * len(axis.middles) + bins
+    _, once = np.unique(key, return_index=True)
+    owner = owner[piece][once]
+    return lines.frame[owner], owner, bins[once], across_m[once]

@@ -11,7 +11,8 @@ from inspect_pipeline.types import CameraChannel
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
+_BEFORE_2: dict[str, Any] = {"warnings": (), "annotations": "annotated.mcap"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,11 @@ class FlightRecord:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> FlightRecord:
-        """The record that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
+        """The record that `to_json` wrote, of this version or an older one.
+
+        Raises KeyError, TypeError or ValueError for anything else.
+        """
+        value = _BEFORE_2 | dict(value)
         fields = {name: value[name] for name in cls.__dataclass_fields__}
         fields["ingested_at"] = datetime.fromisoformat(value["ingested_at"])
         fields["run"] = RunRecord.from_json(value["run"])

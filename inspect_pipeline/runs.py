@@ -10,7 +10,7 @@ import shlex
 import subprocess
 import sys
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.errors import HookError
@@ -18,9 +18,10 @@ from inspect_pipeline.files import store_errors, write_whole
 from inspect_pipeline.flight import RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from inspect_pipeline.store import Store
+    from inspect_pipeline.types import ProcessResult
 
 
 _HOOK_TIMEOUT_S = 300
@@ -89,6 +90,25 @@ class RunSummary:
             error=value["error"],
             counts=Counts(**value["counts"]),
         )
+
+
+def summarize_process(
+    run: RunRecord, results: Sequence[ProcessResult], *, n_found: int, n_failed: int, exit_code: int
+) -> RunSummary:
+    """The summary of a `process` of `n_found` recordings that ends now."""
+    done = [result for result in results if result.status != "skipped"]
+    counts = Counts(
+        n_found=n_found,
+        n_processed=len(done),
+        n_recovered=sum(result.status == "recovered" for result in done),
+        n_skipped=len(results) - len(done),
+        n_failed=n_failed,
+        n_left=n_found - len(results) - n_failed,
+        n_frames=sum(result.n_frames for result in done),
+        n_bad_frames=sum(result.n_bad_frames for result in done),
+        n_segments=sum(result.n_segments for result in done),
+    )
+    return RunSummary(run, datetime.now(UTC), exit_code, None, counts)
 
 
 def save_run(store: Store, summary: RunSummary) -> None:

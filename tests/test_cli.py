@@ -132,6 +132,46 @@ def test_process_goes_on_past_a_bad_recording(run: Callable[..., Outcome], tmp_p
     assert run("query", "SELECT count(*) AS n FROM flights", "--format", "csv").out.split() == ["n", "1"]
 
 
+def test_a_process_is_a_run(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    (tmp_path / "bad.mcap").write_bytes(b"no recording")
+    assert run("process", "bad.mcap").exit_code == 1
+    assert not (tmp_path / "store").exists()
+    assert run("process", "a.mcap", "bad.mcap").exit_code == 1
+    assert run("process", "a.mcap").exit_code == 0  # nothing is done, and nothing is kept of it
+    (summary,) = (json.loads(line) for line in run("runs", "--json").out.splitlines())
+    assert (summary["command"], summary["exit_code"], summary["tags"]) == ("process", 1, {})
+    assert {name: n for name, n in summary["counts"].items() if n} == {
+        "n_found": 2,
+        "n_processed": 1,
+        "n_failed": 1,
+        "n_frames": 3,
+        "n_segments": 3,
+    }
+    columns = "command, exit_code, n_processed, n_skipped, n_failed, finished_at > started_at AS ended"
+    assert json.loads(run("query", f"SELECT {columns} FROM runs", "--format", "json").out) == [
+        {
+            "command": "process",
+            "exit_code": 1,
+            "n_processed": 1,
+            "n_skipped": 0,
+            "n_failed": 1,
+            "ended": True,
+        }
+    ]
+    assert run("runs").out.splitlines()[1].split()[2:3] == ["process"]
+
+
+def test_a_store_of_a_newer_version_exits_12(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(1))
+    run("process", "a.mcap")
+    (result,) = (tmp_path / "store").glob("flights/*/result.json")
+    result.write_text(json.dumps(json.loads(result.read_text()) | {"result_version": 99}))
+    for command in (("process", "a.mcap"), ("index", "verify"), ("index", "rebuild")):
+        outcome = run(*command)
+        assert (outcome.exit_code, "upgrade lsnet-pipe" in outcome.err) == (12, True)
+
+
 def _not_an_mcap(path: Path) -> None:
     path.write_bytes(b"GIF89a" * 100)
 

@@ -148,7 +148,8 @@ def _run(
         from inspect_pipeline.quarantine import Quarantine
         from inspect_pipeline.runs import load_runs
 
-        write_metrics(metrics, load_runs(store), len(Quarantine(store).notes()))
+        batches = [run for run in load_runs(store) if run.run.command == "batch"]
+        write_metrics(metrics, batches, len(Quarantine(store).notes()))
     if on_finish:
         notify(on_finish, summary)
     return summary.exit_code

@@ -65,6 +65,7 @@ def process(
     """
     from inspect_pipeline import config, index, pipeline
     from inspect_pipeline.errors import InspectError, StoreError
+    from inspect_pipeline.runs import save_run, summarize_process
     from inspect_pipeline.store import Store, store_path
     from lsnet import Detector
 
@@ -86,16 +87,21 @@ def process(
                 on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
             )
 
-    results, exit_code = [], 0
+    results, n_failed, exit_code = [], 0, 0
     for path in files:
         try:
             results.append(process_one(path))
             _warn(results[-1])
         except InspectError as error:
             typer.echo(f"error: {error}", err=True)
-            exit_code = error.exit_code
+            n_failed, exit_code = n_failed + 1, error.exit_code
             if isinstance(error, StoreError):  # the next recording would fail alike
                 break
+    if any(result.status != "skipped" for result in results):
+        save_run(
+            the_store,
+            summarize_process(run, results, n_found=len(files), n_failed=n_failed, exit_code=exit_code),
+        )
     if results:
         index.publish(the_store)
     _print_results(results, as_json=as_json)

@@ -10,14 +10,16 @@ from inspect_pipeline.commands.batch_log import printable
 from inspect_pipeline.commands.options import JsonOption, StoreOption
 
 _ROW = (
-    "{started:19}  {duration:>9}  {exit:>4}  {processed:>9}  {done:>11}  {quarantine:>10}"
-    "  {left:>6}  {frames:>9}  {tags}"
+    "{started:19}  {command:7}  {duration:>9}  {exit:>4}  {processed:>9}  {done:>11}  {failed:>6}"
+    "  {quarantine:>10}  {left:>6}  {frames:>9}  {tags}"
 )
-_HEAD = {name: name for name in ("exit", "processed", "quarantine", "left", "frames", "tags")}
+_HEAD = {
+    name: name for name in ("command", "exit", "processed", "failed", "quarantine", "left", "frames", "tags")
+}
 
 
 def runs(store: StoreOption = None, as_json: JsonOption = False) -> None:
-    """Show every batch that has ended, oldest first: when, how, and what became of the recordings.
+    """Show every batch and `process` that has ended, oldest first, and what became of the recordings.
 
     Example: lsnet-pipe runs --json
     """
@@ -35,10 +37,12 @@ def runs(store: StoreOption = None, as_json: JsonOption = False) -> None:
         typer.echo(
             _ROW.format(
                 started=f"{summary.run.started_at:%Y-%m-%d %H:%M:%S}",
+                command=summary.run.command or "",
                 duration=f"{summary.duration_s:.1f}",
                 exit=summary.exit_code,
                 processed=counts.n_processed,
                 done=counts.n_skipped,
+                failed=counts.n_failed,
                 quarantine=counts.n_quarantined + counts.n_in_quarantine,
                 left=counts.n_waiting + counts.n_left,
                 frames=counts.n_frames,

@@ -38,11 +38,15 @@ class YawPitchRoll(NamedTuple):
 
 
 class Attitude(NamedTuple):
-    """How the camera, or else the vehicle, is turned; a relative yaw counts from that of the vehicle."""
+    """How the camera, or else the vehicle, is turned; a relative yaw counts from that of the vehicle.
+
+    height_m is how high it is above the origin of the frame it is turned in, None where that is not said.
+    """
 
     turns: YawPitchRoll
     is_camera: bool
     is_yaw_relative: bool = False
+    height_m: float | None = None
 
 
 def position(latitude_deg: float, longitude_deg: float, altitude_m: float) -> Position | None:

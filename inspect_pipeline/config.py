@@ -6,7 +6,7 @@ import hashlib
 import json
 import platform
 import uuid
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,6 +22,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
+class PlacingOptions:
+    """What a recording does not say of where its frames were taken; None leaves to it what it says.
+
+    ground_alt_m: altitude of the ground as its positions count it. view_deg: from left to right of an image,
+    for cameras without calibration. wire_m: diameter of the conductors whose width is expected.
+    """
+
+    ground_alt_m: float | None = None
+    view_deg: float | None = None
+    wire_m: float = 0.022
+
+
+@dataclass(frozen=True, slots=True)
 class ProcessOptions:
     """What to make of a recording.
 
@@ -29,6 +42,7 @@ class ProcessOptions:
     strict: refuse a damaged recording instead of processing the part that can be read.
     force: process again what the store already has.
     write: annotations to a copy of the recording, to a file of their own, or nowhere; schema: in which form.
+    placing: what is known of positions and lenses beside the recording.
     """
 
     topics: tuple[str, ...] | None = None
@@ -39,6 +53,7 @@ class ProcessOptions:
     force: bool = False
     write: WriteMode = "copy"
     schema: SchemaName = "protobuf"
+    placing: PlacingOptions = PlacingOptions()
 
 
 def start_run(detector: Detector, options: ProcessOptions) -> RunRecord:
@@ -59,6 +74,7 @@ def start_described_run(
         "every": options.every,
         "start_ns": options.start_ns,
         "end_ns": options.end_ns,
+        "placing": asdict(options.placing),
         "write": options.write,
         "schema": options.schema,
         "schema_version": len(MIGRATIONS),

@@ -1,7 +1,7 @@
 """The one path: a recording in; annotations in a copy of it or beside it, and rows in the store out.
 
 recording ─ iter_frames ─ batches, decoded one ahead ─ detect ─┬─ annotated.mcap, or annotations.mcap
-                                                               └─ frames, segments, lines.parquet
+                                                               └─ frames, segments, lines, tracks.parquet
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from inspect_pipeline.annotations import FrameAnnotator
 from inspect_pipeline.config import model_record, run_metadata
 from inspect_pipeline.flight import FlightRecord
+from inspect_pipeline.placing import FramePlacer
 from inspect_pipeline.quality import ImageQuality, measure_quality
 from inspect_pipeline.recording import RUN_METADATA
 from inspect_pipeline.recording_frames import iter_frames
@@ -164,6 +165,7 @@ def _write(
 ) -> _Written:
     """Write every frame to annotations and to tables in `folder`."""
     stamps = StampCheck()
+    placer = FramePlacer.of(recording, recording.select_cameras(options.topics), options.placing)
     with (
         _annotations(recording, folder, options) as out,
         FlightWriter(folder, recording.flight_id) as tables,
@@ -181,6 +183,7 @@ def _write(
                 infer_ms=seen.infer_ms,
                 sharpness=seen.quality.sharpness if seen.quality else None,
                 mean_luma=seen.quality.mean_luma if seen.quality else None,
+                place=placer.place(seen.frame),
             )
         totals = tables.finish()
     warnings = (*recording.warnings, *stamps.warnings())

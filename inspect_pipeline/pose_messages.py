@@ -20,7 +20,7 @@ from inspect_pipeline.attitude import Attitude, Quaternion, from_enu, position
 from inspect_pipeline.wire import CdrReader, FlatbufferTable, Ros1Reader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from inspect_pipeline.attitude import Position
     from inspect_pipeline.wire import SequentialReader
@@ -82,69 +82,88 @@ def _flatbuffer_location(payload: memoryview) -> Position | None:
 
 def _protobuf_pose(payload: memoryview, is_camera: bool) -> Attitude | None:
     message = PoseInFrame.FromString(bytes(payload))
-    q = message.pose.orientation
-    return _pose(message.frame_id, Quaternion(q.w, q.x, q.y, q.z), is_camera)
+    q, place = message.pose.orientation, message.pose.position
+    return _pose(message.frame_id, Quaternion(q.w, q.x, q.y, q.z), is_camera, (place.x, place.y, place.z))
 
 
 def _json_pose(payload: memoryview, is_camera: bool) -> Attitude | None:
     fields: dict[str, Any] = json.loads(bytes(payload))
-    return _pose(fields["frame_id"], _json_quaternion(fields["pose"]["orientation"]), is_camera)
+    rotation = _json_quaternion(fields["pose"]["orientation"])
+    return _pose(fields["frame_id"], rotation, is_camera, _json_place(fields["pose"].get("position", {})))
 
 
 def _flatbuffer_pose(payload: memoryview, is_camera: bool) -> Attitude | None:
     table = FlatbufferTable(payload)
     pose = table.table(2)
-    return _pose(table.string(1), _flatbuffer_quaternion(pose and pose.table(1)), is_camera)
+    rotation = _flatbuffer_quaternion(pose and pose.table(1))
+    return _pose(table.string(1), rotation, is_camera, _flatbuffer_place(pose and pose.table(0)))
 
 
 def _ros2_pose(payload: memoryview, is_camera: bool) -> Attitude | None:
     reader = CdrReader(payload)
     _, frame_id = reader.header()
-    reader.float64s(3)
-    return _pose(frame_id, _ros_quaternion(reader), is_camera)
+    place = reader.float64s(3)
+    return _pose(frame_id, _ros_quaternion(reader), is_camera, place)
 
 
-def _pose(frame_id: str, rotation: Quaternion, is_camera: bool) -> Attitude | None:
+def _pose(frame_id: str, rotation: Quaternion, is_camera: bool, place: Sequence[float]) -> Attitude | None:
     """The attitude of whatever the topic is about, against a frame that stands still."""
     turns = from_enu(rotation) if frame_id in _WORLDS else None
-    return turns and Attitude(turns, is_camera)
+    return turns and Attitude(turns, is_camera, height_m=_height_m(place))
+
+
+def _height_m(place: Sequence[float]) -> float | None:
+    """How high x, y, z are; None at the origin, where those put everything that tell rotations only."""
+    return float(place[2]) if any(place) else None
 
 
 def _protobuf_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
     message = FrameTransform.FromString(bytes(payload))
     q = message.rotation
-    return _transform(message.parent_frame_id, message.child_frame_id, Quaternion(q.w, q.x, q.y, q.z))
+    t = message.translation
+    rotation = Quaternion(q.w, q.x, q.y, q.z)
+    return _transform(message.parent_frame_id, message.child_frame_id, rotation, (t.x, t.y, t.z))
 
 
 def _json_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
     fields: dict[str, Any] = json.loads(bytes(payload))
     rotation = _json_quaternion(fields["rotation"])
-    return _transform(fields["parent_frame_id"], fields["child_frame_id"], rotation)
+    place = _json_place(fields.get("translation", {}))
+    return _transform(fields["parent_frame_id"], fields["child_frame_id"], rotation, place)
 
 
 def _flatbuffer_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
     table = FlatbufferTable(payload)
-    return _transform(table.string(1), table.string(2), _flatbuffer_quaternion(table.table(4)))
+    rotation, place = _flatbuffer_quaternion(table.table(4)), _flatbuffer_place(table.table(3))
+    return _transform(table.string(1), table.string(2), rotation, place)
 
 
 def _ros2_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
     reader = CdrReader(payload)
     reader.time_ns()
     parent, child = reader.string(), reader.string()
-    reader.float64s(3)
-    return _transform(parent, child, _ros_quaternion(reader))
+    place = reader.float64s(3)
+    return _transform(parent, child, _ros_quaternion(reader), place)
 
 
-def _transform(parent: str, child: str, rotation: Quaternion) -> Attitude | None:
+def _transform(parent: str, child: str, rotation: Quaternion, place: Sequence[float]) -> Attitude | None:
     """The attitude of a known body against a frame that stands still. Chains are not followed."""
     if parent not in _WORLDS or child not in _BODIES | _CAMERAS:
         return None
     turns = from_enu(rotation)
-    return turns and Attitude(turns, is_camera=child in _CAMERAS)
+    return turns and Attitude(turns, is_camera=child in _CAMERAS, height_m=_height_m(place))
 
 
 def _json_quaternion(fields: dict[str, Any]) -> Quaternion:
     return Quaternion(*(float(fields.get(axis, 0)) for axis in "wxyz"))
+
+
+def _json_place(fields: dict[str, Any]) -> list[float]:
+    return [float(fields.get(axis, 0)) for axis in "xyz"]
+
+
+def _flatbuffer_place(table: FlatbufferTable | None) -> list[float]:
+    return [table.float64(i) for i in range(3)] if table else []
 
 
 def _flatbuffer_quaternion(table: FlatbufferTable | None) -> Quaternion:

@@ -8,6 +8,7 @@ Messages are joined to frames by log time, which all channels share.
 
 from __future__ import annotations
 
+from array import array
 from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -33,6 +34,8 @@ class Pose:
     Positions are WGS 84; altitude_m counts from what the source counts from, mostly the ellipsoid (GNSS) or
     the sea (EXIF, PX4). Yaw is clockwise from north, pitch positive upwards, so that a camera that looks
     straight down has -90; they are those of the `attitude_of`. age_ms is that of its oldest part.
+    heading_deg is the yaw of the vehicle. height_m counts from the origin of the frame the attitude is told
+    in, by convention on the ground.
     """
 
     latitude_deg: float | None
@@ -43,6 +46,8 @@ class Pose:
     roll_deg: float | None
     attitude_of: Literal["camera", "vehicle"] | None
     age_ms: float
+    heading_deg: float | None = None
+    height_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,17 +77,19 @@ class PoseTrack:
     """What is known of a flight's poses, each from the one channel that has most of it.
 
     positions: latitude_deg, longitude_deg, altitude_m (NaN where unknown). vehicle: yaw_deg, pitch_deg,
-    roll_deg. camera: the same, and 1 where the yaw counts from that of the vehicle.
+    roll_deg. camera: the same, and 1 where the yaw counts from that of the vehicle. heights: height_m.
     """
 
     positions: Samples
     vehicle: Samples
     camera: Samples
+    heights: Samples = field(default_factory=Samples)
 
     def at(self, time_ns: int) -> Pose | None:
         """The pose at a log time; None before the first message, and without any."""
         position = self.positions.last_at(time_ns)
         attitude, attitude_of = self._attitude_at(time_ns)
+        vehicle, height = self.vehicle.last_at(time_ns), self.heights.last_at(time_ns)
         ages_ms = [sample.age_ms for sample in (position, attitude) if sample]
         if not ages_ms:
             return None
@@ -97,6 +104,8 @@ class PoseTrack:
             roll_deg=roll_deg,
             attitude_of=attitude_of,
             age_ms=max(ages_ms),
+            heading_deg=vehicle.values[0] if vehicle else None,
+            height_m=height.values[0] if height else None,
         )
 
     def _attitude_at(self, time_ns: int) -> tuple[Sample | None, Literal["camera", "vehicle"] | None]:
@@ -124,10 +133,31 @@ def read_poses(recording: Recording) -> PoseTrack:
         positions=_longest(kinds["position"]),
         vehicle=_longest(kinds["vehicle"]),
         camera=_longest(kinds["camera"]),
+        heights=_longest(kinds["height"]),
     )
 
 
-_Rows = dict[int, list[tuple[float, ...]]]  # by channel id: log time, values
+class _Rows:
+    """Values over time as they come, a few bytes each: attitudes may come a thousand times a second."""
+
+    def __init__(self) -> None:
+        self._times_ns, self._values = array("Q"), array("d")
+
+    def __len__(self) -> int:
+        return len(self._times_ns)
+
+    def append(self, time_ns: int, *values: float) -> None:
+        self._times_ns.append(time_ns)
+        self._values.extend(values)
+
+    def to_samples(self) -> Samples:
+        if not self._times_ns:
+            return Samples()
+        values = np.frombuffer(self._values, np.float64)
+        return Samples(np.frombuffer(self._times_ns, np.uint64), values.reshape(len(self), -1))
+
+
+_RowsByChannel = dict[int, _Rows]
 
 
 def _parsers(recording: Recording) -> dict[int, Parser]:
@@ -145,27 +175,26 @@ def _parsers(recording: Recording) -> dict[int, Parser]:
     return found
 
 
-def _read_kinds(recording: Recording, parsers: dict[int, Parser]) -> dict[str, _Rows]:
-    kinds: dict[str, _Rows] = defaultdict(lambda: defaultdict(list))
+def _read_kinds(recording: Recording, parsers: dict[int, Parser]) -> dict[str, _RowsByChannel]:
+    kinds: dict[str, _RowsByChannel] = defaultdict(lambda: defaultdict(_Rows))
     for message in iter_channel_messages(recording, parsers.keys()):
         try:
             found = parsers[message.channel_id](message.data)
         except MALFORMED:
             continue
+        channel_id, time_ns = message.channel_id, message.log_time_ns
         if isinstance(found, Position):
-            kinds["position"][message.channel_id].append((message.log_time_ns, *found))
-        elif isinstance(found, Attitude) and found.is_camera:
-            row = (message.log_time_ns, *found.turns, found.is_yaw_relative)
-            kinds["camera"][message.channel_id].append(row)
-        elif found:
-            kinds["vehicle"][message.channel_id].append((message.log_time_ns, *found.turns))
+            kinds["position"][channel_id].append(time_ns, *found)
+        elif isinstance(found, Attitude):
+            if found.is_camera:
+                kinds["camera"][channel_id].append(time_ns, *found.turns, found.is_yaw_relative)
+            else:
+                kinds["vehicle"][channel_id].append(time_ns, *found.turns)
+            if found.height_m is not None:
+                kinds["height"][channel_id].append(time_ns, found.height_m)
     return kinds
 
 
-def _longest(rows_by_channel: _Rows) -> Samples:
+def _longest(rows_by_channel: _RowsByChannel) -> Samples:
     """The samples of the channel with most of them: two receivers in turn would jump to and fro."""
-    rows = max(rows_by_channel.values(), key=len, default=[])
-    if not rows:
-        return Samples()
-    times_ns = np.array([row[0] for row in rows], np.uint64)
-    return Samples(times_ns, np.array([row[1:] for row in rows], np.float64))
+    return max(rows_by_channel.values(), key=len, default=_Rows()).to_samples()

@@ -113,7 +113,7 @@ def _frame(
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_m=alt_m,
-        height_m=alt_m - GROUND_M,
+        height_m=turned.position[2],
         heading_deg=compass_deg(plan, turned.heading_rad),
         cam_yaw_deg=compass_deg(plan, turned.yaw_rad),
         cam_pitch_deg=-float(np.rad2deg(turned.pitch_rad)),

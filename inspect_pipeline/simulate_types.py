@@ -73,10 +73,11 @@ class SpanView:
 class FrameTruth:
     """A frame, or one that was dropped (`frame_idx` None: the recording does not have it).
 
-    The pose is the last one recorded, and pose_age_ms that of its position, None before the first: it goes
-    stale in a gap, and does not tell of a camera that slipped in its mount. alt_m is ellipsoidal, height_m
-    above the ground. heading_deg is that of the vehicle. Camera angles are those of the world: yaw clockwise
-    from north, pitch positive upwards, roll positive to the right. image_size is (height, width).
+    The pose is the last one recorded, and pose_age_ms that of its position, None before the first: the
+    position goes stale in a gap, and the angles do not tell of a camera that slipped in its mount. alt_m is
+    ellipsoidal, height_m above the ground. heading_deg is that of the vehicle. Camera angles are those of the
+    world: yaw clockwise from north, pitch positive upwards, roll positive to the right. image_size is
+    (height, width).
     lines, views: what the picture truly shows.
     """
 

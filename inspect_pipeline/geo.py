@@ -1,0 +1,129 @@
+"""From pixels to places: the ray of a pixel, and where it meets the ground or the plane of a span.
+
+Flat earth about the camera; directions are (east, north, up). How far off the results are, by what is not
+known exactly: docs/inspection.md, Places.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pyproj
+
+from inspect_pipeline.attitude import YawPitchRoll
+from inspect_pipeline.calibrations import Intrinsics
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+
+_UNDISTORTED = frozenset(
+    {"plumb_bob", "rational_polynomial"}
+)  # whose coefficients OpenCV knows in this order
+_UPRIGHT = 1e-6
+_EARTH = pyproj.Geod(ellps="WGS84")
+
+
+def lens_of_view(image_size: tuple[int, int], view_deg: float) -> Intrinsics:
+    """A lens without distortion whose view is `view_deg` from left to right of (height, width)."""
+    height, width = image_size
+    focal_px = width / 2 / np.tan(np.radians(view_deg) / 2)
+    return Intrinsics(image_size, (focal_px, focal_px), (width / 2, height / 2), "", ())
+
+
+def resized(lens: Intrinsics, image_size: tuple[int, int]) -> Intrinsics:
+    """The lens of the same picture at another (height, width)."""
+    sy, sx = (now / then for now, then in zip(image_size, lens.image_size, strict=True))
+    (fx, fy), (cx, cy) = lens.focal_px, lens.centre_px
+    return Intrinsics(
+        image_size, (fx * sx, fy * sy), (cx * sx, cy * sy), lens.distortion_model, lens.distortion
+    )
+
+
+def camera_axes(turns: YawPitchRoll) -> Floats:
+    """(3, 3): right, down and ahead of a camera, each as east, north, up."""
+    (sin_y, sin_p, sin_r), (cos_y, cos_p, cos_r) = np.sin(np.radians(turns)), np.cos(np.radians(turns))
+    ahead = np.array([sin_y * cos_p, cos_y * cos_p, sin_p])
+    level = np.array([cos_y, -sin_y, 0.0])  # to the right, before it rolls
+    below = np.cross(ahead, level)
+    return np.stack((cos_r * level + sin_r * below, cos_r * below - sin_r * level, ahead))
+
+
+def moved(lat_deg: float, lon_deg: float, east_m: float, north_m: float) -> tuple[float, float]:
+    """The latitude and longitude so many metres away."""
+    azimuth_deg, distance_m = np.degrees(np.arctan2(east_m, north_m)), np.hypot(east_m, north_m)
+    there_lon_deg, there_lat_deg, _ = _EARTH.fwd(lon_deg, lat_deg, azimuth_deg, distance_m)
+    return float(there_lat_deg), float(there_lon_deg)
+
+
+def pixel_rays(lens: Intrinsics, turns: YawPitchRoll, pixels: ArrayLike) -> Floats:
+    """(N, 3) unit vectors, east, north, up, of (N, 2) pixels of a camera that is turned so in the world.
+
+    Lens distortion is undone for "plumb_bob" and "rational_polynomial", and otherwise taken for none.
+    """
+    centred = (np.asarray(pixels, np.float64).reshape(-1, 2) - lens.centre_px) / lens.focal_px
+    if lens.distortion_model in _UNDISTORTED and any(lens.distortion):
+        flat = cv2.undistortPoints(centred[:, np.newaxis], np.eye(3), np.array(lens.distortion))
+        centred = np.asarray(flat, np.float64).reshape(-1, 2)
+    rays: Floats = np.column_stack((centred, np.ones(len(centred)))) @ camera_axes(turns)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return rays
+
+
+def meet_ground(rays: Floats, height_m: float) -> Floats:
+    """(N, 3) metres east, north and up from the camera to where rays meet flat ground `height_m` below it.
+
+    NaN for rays that do not go down.
+    """
+    down = -rays[:, 2]
+    distance_m = np.full(len(rays), np.nan)
+    np.divide(height_m, down, out=distance_m, where=down > 1e-9)
+    met: Floats = rays * distance_m[:, np.newaxis]
+    return met
+
+
+def meet_vertical_plane(rays: Floats, start: ArrayLike, end: ArrayLike) -> Floats:
+    """(N, 2): where rays meet the vertical plane through two structures.
+
+    start, end: east, north of the structures from the camera, in m. The result is metres along from the
+    first to the second, and metres above the camera; NaN for rays that do not meet the plane ahead.
+    """
+    origin, along = np.asarray(start, np.float64), np.subtract(end, start, dtype=np.float64)
+    along /= np.linalg.norm(along)
+    across = np.array([-along[1], along[0]])
+    towards = rays[:, :2] @ across
+    distance_m = np.full(len(rays), np.nan)
+    np.divide(origin @ across, towards, out=distance_m, where=np.abs(towards) > 1e-9)
+    distance_m[distance_m <= 0] = np.nan
+    met = rays * distance_m[:, np.newaxis]
+    return np.column_stack(((met[:, :2] - origin) @ along, met[:, 2]))
+
+
+def turned_down(vehicle: YawPitchRoll) -> YawPitchRoll:
+    """How a camera is turned that looks straight down out of a vehicle, the top of its image ahead."""
+    right, down, ahead = camera_axes(vehicle)
+    return _turns(np.stack((right, -ahead, down)))
+
+
+def _turns(axes: Floats) -> YawPitchRoll:
+    """The turns of which `camera_axes` makes (3, 3) axes."""
+    right, down, ahead = axes
+    pitch_rad = np.arcsin(np.clip(ahead[2], -1, 1))
+    if np.hypot(ahead[0], ahead[1]) < _UPRIGHT:  # yaw and roll turn about one axis: all of it is yaw
+        yaw_rad, roll_rad = np.arctan2(-right[1], right[0]), 0.0
+    else:
+        yaw_rad, roll_rad = np.arctan2(ahead[0], ahead[1]), np.arctan2(-right[2], -down[2])
+    return YawPitchRoll(*(float(np.degrees(turn)) for turn in (yaw_rad, pitch_rad, roll_rad)))
+
+
+def pixel_motion(
+    before: YawPitchRoll, after: YawPitchRoll, focal_px: float, image_size: tuple[int, int]
+) -> Floats:
+    """(3, 3) homography: where pixels go when a camera turns about its place, its axis in the middle."""
+    height, width = image_size
+    lens = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+    motion: Floats = lens @ camera_axes(after) @ camera_axes(before).T @ np.linalg.inv(lens)
+    return motion

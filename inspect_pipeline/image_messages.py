@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _MAX_STAMP_NS = (1 << 63) - 1  # the year 2262; what is later, or before 1970, is no stamp
 _VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")
+_VIDEO_FORMATS = re.compile(r"h\.?26[45]|hevc|avc|vp9|av1")
+_PICTURE_HEADS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF", b"GIF8", b"II*\0", b"MM\0*")  # JPEG, PNG, WebP, ...
 
 
 class ImageError(ValueError):
@@ -73,14 +75,16 @@ def parse(schema_name: str, message_encoding: str, payload: memoryview) -> Image
         raise ImageError(f"the message is not a {schema_name}") from error
     if not 0 <= message.stamp_ns <= _MAX_STAMP_NS:
         message = replace(message, stamp_ns=0)
-    if message.raw is None and (schema_name.endswith("Video") or _is_video_stream(message.data)):
-        return replace(message, is_video=True)
-    return message
+    return replace(message, is_video=message.raw is None and _is_video(schema_name, message))
 
 
-def _is_video_stream(data: bytes | memoryview) -> bool:
-    """Whether data begin as H.264 and H.265 streams do, whatever the message calls them."""
-    return bytes(data[:4]).startswith(_VIDEO_START_CODES)
+def _is_video(schema_name: str, message: ImageMessage) -> bool:
+    """Whether a compressed image is a piece of video: its first bytes say so, or do not say otherwise."""
+    head = bytes(message.data[:4])
+    if head.startswith(_PICTURE_HEADS):
+        return False
+    is_named = schema_name.endswith("Video") or _VIDEO_FORMATS.search(message.encoding.lower())
+    return head.startswith(_VIDEO_START_CODES) or bool(is_named)
 
 
 def _protobuf_compressed(payload: memoryview) -> ImageMessage:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from contextlib import suppress
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from inspect_pipeline import images
@@ -15,15 +14,13 @@ from inspect_pipeline.types import Frame
 from inspect_pipeline.video import VideoDecoder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
-
-    import numpy as np
-    from numpy.typing import NDArray
+    from collections.abc import Collection, Iterable, Iterator
 
     from inspect_pipeline.recording import Recording
     from inspect_pipeline.recording_extents import Extent, RecordingFile
     from inspect_pipeline.types import CameraChannel
 
+_MAX_WAITING_BYTES = 64 << 20  # of messages behind a picture that does not come out of its video
 _NEVER_NS = 1 << 64  # beyond every log time
 _MAX_TIME_NS = (1 << 63) - 1  # the year 2262; later ones are damage, and databases do not hold them
 
@@ -63,15 +60,19 @@ def _iter_frames(
         read_ns = 0 if videos else first_ns  # a video may begin long before its picture at `start_ns`
         n_seen = _count_before(file, extents, read_ns, losses)
         overlapping = [e for e in extents if e.end_ns >= read_ns and e.start_ns < last_ns]
+        waiting = _Queue()
         for message in iter_messages(file, overlapping, frozenset(by_id), losses.add):
             camera, video = by_id[message.channel_id], videos.get(message.channel_id)
             frame_idx = n_seen[message.channel_id]
             n_seen[message.channel_id] += 1
-            if first_ns <= message.log_time_ns < last_ns and frame_idx % every == 0:
-                yield _to_frame(camera, frame_idx, message, video.decode if video else images.decode)
-            elif video:
-                with suppress(images.ImageError):
-                    video.pass_over(_parse(camera, message))
+            is_wanted = first_ns <= message.log_time_ns < last_ns and frame_idx % every == 0
+            if is_wanted or video:
+                frame = _Waiting(camera, frame_idx, message, video)
+                waiting.add(frame, is_wanted=is_wanted)
+            yield from waiting.settled()
+        for video in videos.values():
+            video.finish()
+        yield from waiting.settled()
     if losses.n_extents and losses.n_extents == len(extents):
         raise RecordingError(recording.path, recording.losses[-1], "not one image can be read, copy it again")
 
@@ -119,31 +120,74 @@ def _count_before(
     return counts
 
 
-def _parse(camera: CameraChannel, message: Message) -> images.ImageMessage:
-    return images.parse(camera.schema_name, camera.message_encoding, message.data)
+class _Waiting:
+    """A frame whose picture is decoded when its turn comes; one of a video may come out of it later."""
+
+    def __init__(
+        self, camera: CameraChannel, frame_idx: int, message: Message, video: VideoDecoder | None
+    ) -> None:
+        self._camera, self._frame_idx, self._message = camera, frame_idx, message
+        self._parsed: images.ImageMessage | None = None
+        self._error: str | None = None
+        try:
+            self._parsed = images.parse(camera.schema_name, camera.message_encoding, message.data)
+        except images.ImageError as reason:
+            self._error = str(reason)
+        # What says by its first bytes that it is a picture is none of the video.
+        self._video = video if self._parsed and self._parsed.is_video else None
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the message."""
+        return len(self._message.data)
+
+    def add_to_video(self, *, is_wanted: bool) -> None:
+        """Let the video have the message."""
+        if self._video and self._parsed:
+            self._video.add(self._frame_idx, self._parsed, is_wanted=is_wanted)
+
+    def is_settled(self) -> bool:
+        """Whether the picture can be had."""
+        return self._video is None or self._video.is_settled(self._frame_idx)
+
+    def to_frame(self) -> Frame:
+        """The frame, with its picture or the reason why there is none."""
+        parsed, image, error = self._parsed, None, self._error
+        if parsed:
+            try:
+                image = self._video.take(self._frame_idx) if self._video else images.decode(parsed)
+            except images.ImageError as reason:
+                error = str(reason)
+        log_time_ns = min(self._message.log_time_ns, _MAX_TIME_NS)
+        return Frame(
+            channel_id=self._camera.channel_id,
+            topic=self._camera.topic,
+            frame_idx=self._frame_idx,
+            log_time_ns=log_time_ns,
+            publish_time_ns=self._message.publish_time_ns,
+            stamp_ns=parsed.stamp_ns if parsed else log_time_ns,
+            frame_id=parsed.frame_id if parsed else "",
+            image=image,
+            error=error,
+        )
 
 
-def _to_frame(
-    camera: CameraChannel,
-    frame_idx: int,
-    message: Message,
-    decode: Callable[[images.ImageMessage], NDArray[np.uint8]],
-) -> Frame:
-    stamp_ns, frame_id, image, error = message.log_time_ns, "", None, None
-    try:
-        parsed = _parse(camera, message)
-        stamp_ns, frame_id = parsed.stamp_ns, parsed.frame_id
-        image = decode(parsed)
-    except images.ImageError as reason:
-        error = str(reason)
-    return Frame(
-        channel_id=camera.channel_id,
-        topic=camera.topic,
-        frame_idx=frame_idx,
-        log_time_ns=min(message.log_time_ns, _MAX_TIME_NS),
-        publish_time_ns=message.publish_time_ns,
-        stamp_ns=stamp_ns,
-        frame_id=frame_id,
-        image=image,
-        error=error,
-    )
+class _Queue:
+    """Frames in their order, those of videos held until their pictures have come out; bounded in bytes."""
+
+    def __init__(self) -> None:
+        self._frames: deque[_Waiting] = deque()
+        self._n_bytes = 0
+
+    def add(self, frame: _Waiting, *, is_wanted: bool) -> None:
+        frame.add_to_video(is_wanted=is_wanted)
+        if is_wanted:
+            self._frames.append(frame)
+            self._n_bytes += frame.n_bytes
+
+    def settled(self) -> Iterator[Frame]:
+        """Take the frames from the front whose pictures can be had, or that have waited too long."""
+        while self._frames and (self._frames[0].is_settled() or self._n_bytes > _MAX_WAITING_BYTES):
+            frame = self._frames.popleft()
+            self._n_bytes -= frame.n_bytes
+            yield frame.to_frame()

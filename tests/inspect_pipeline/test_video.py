@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from hypothesis import given
+from hypothesis import strategies as st
 
+from inspect_pipeline.h264 import GapFinder
 from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
-from inspect_pipeline.video import is_key_frame
+from inspect_pipeline.video import key_of, to_annex_b
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,8 +37,8 @@ def grey_of(number: int) -> int:
     return 30 + 8 * number
 
 
-def encode(codec: str, n_pictures: int = N_PICTURES) -> list[bytes]:
-    """A packet per picture, a key frame every `KEY_EVERY`."""
+def encode(codec: str, n_pictures: int = N_PICTURES, stamps: list[int] | None = None) -> list[bytes]:
+    """A packet per picture, a key frame every `KEY_EVERY`; `stamps` is filled with the number of each."""
     name, options = ENCODERS[codec]
     encoder = av.CodecContext.create(name, "w")
     encoder.width, encoder.height, encoder.pix_fmt = 128, 96, "yuv420p"
@@ -47,6 +50,8 @@ def encode(codec: str, n_pictures: int = N_PICTURES) -> list[bytes]:
         frame.pts = i
         packets += encoder.encode(frame.reformat(format="yuv420p"))
     packets += encoder.encode(None)
+    if stamps is not None:
+        stamps += [packet.pts for packet in packets]
     return [bytes(packet) for packet in packets]
 
 
@@ -97,8 +102,129 @@ def test_pictures_stand_on_those_before_them(tmp_path: Path, codec: str) -> None
 @pytest.mark.parametrize("codec", ENCODERS)
 def test_key_frames_are_known(codec: str) -> None:
     name = {"h265": "hevc", "av1": "libdav1d"}.get(codec, codec)
-    keys = [i for i, data in enumerate(encode(codec)) if is_key_frame(data, name)]
+    keys = [i for i, data in enumerate(encode(codec)) if key_of(data, name) != "none"]
     assert keys == list(range(0, N_PICTURES, KEY_EVERY))
+
+
+B_FRAMES = {
+    "h264": ("h264", "libx264", {"preset": "medium", "bf": "3"}),
+    "h264 open": ("h264", "libx264", {"preset": "medium", "bf": "3", "x264-params": "open-gop=1"}),
+    "h265": ("h265", "libx265", {"x265-params": "bframes=3:repeat-headers=1:open-gop=0:log-level=none"}),
+    "h265 open": ("h265", "libx265", {"x265-params": "bframes=3:repeat-headers=1:open-gop=1:log-level=none"}),
+}
+
+
+def encode_out_of_order(name: str, monkeypatch: pytest.MonkeyPatch) -> tuple[list[bytes], list[int]]:
+    """Packets in the order in which they are decoded, and which picture is in each, by their own stamps."""
+    codec, encoder, options = B_FRAMES[name]
+    stamps: list[int] = []
+    monkeypatch.setitem(ENCODERS, codec, (encoder, options))
+    packets = encode(codec, 27, stamps)
+    assert stamps != sorted(stamps)
+    return packets, stamps
+
+
+@pytest.mark.parametrize("name", B_FRAMES)
+@pytest.mark.parametrize("every", [1, 5, 11])
+def test_b_frames_are_the_pictures_of_their_messages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, every: int
+) -> None:
+    """Which picture a packet holds is what the encoder says; that it looks so is seen."""
+    packets, pictures = encode_out_of_order(name, monkeypatch)
+    path = record(tmp_path / "a.mcap", dict(enumerate(packets)), protobuf(B_FRAMES[name][0]))
+    frames = list(iter_frames(open_recording(path), every=every))
+    found = [(frame.frame_idx, looks_like(frame.image)) for frame in frames]
+    assert found == [(i, picture) for i, picture in enumerate(pictures) if i % every == 0]
+
+
+def test_b_frames_do_not_hold_up_other_cameras_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The video ends while its last pictures are in the decoder; what waits behind them is bounded."""
+    monkeypatch.setattr("inspect_pipeline.recording_frames._MAX_WAITING_BYTES", 3000)
+    packets, _ = encode_out_of_order("h264", monkeypatch)
+    how = protobuf("h264")
+    to_write = [Shot(i, CAMERA, START_NS + i, data) for i, data in enumerate(packets[:9])]
+    to_write += [Shot(i, "/b/image", START_NS + 100 + i, data=None) for i in range(20)]
+    recording = open_recording(make_recording(tmp_path / "a.mcap", to_write, encoding=how))
+    frames = list(iter_frames(recording))
+    assert [frame.topic for frame in frames] == [CAMERA] * 9 + ["/b/image"] * 20
+    assert [frame.error for frame in frames].count("the picture of the video cannot be decoded") <= 3
+
+
+@pytest.mark.parametrize("codec", ["h264", "h265"])
+@pytest.mark.parametrize("encoding", ["video", "ros2"])
+def test_streams_with_lengths_instead_of_start_codes(tmp_path: Path, codec: str, encoding: str) -> None:
+    """As in MP4."""
+    packets = encode(codec)
+    prefixed = [with_lengths(data) for data in packets]
+    assert all(not data.startswith(b"\0\0\0\1") for data in prefixed)
+    for data, short in zip(packets, prefixed, strict=True):
+        assert to_annex_b(data) == data
+        assert units(to_annex_b(short)) == units(data)
+
+    def as_ros2(stamp_ns: int, frame_id: str, data: bytes) -> bytes:
+        message = factories.ros2_cdr(stamp_ns, frame_id, data)
+        return message.replace(b"rgb8; jpeg compressed bgr8", codec.encode().ljust(26, b" "))
+
+    how = protobuf(codec)
+    if encoding == "ros2":
+        how = factories.ENCODINGS["ros2"]
+        how = factories.Encoding(how.schema_name, how.schema_encoding, b"", how.message_encoding, as_ros2)
+    recording = open_recording(record(tmp_path / "a.mcap", dict(enumerate(prefixed)), how))
+    assert [looks_like(frame.image) for frame in iter_frames(recording)] == list(range(N_PICTURES))
+
+
+def units(data: bytes) -> list[bytes]:
+    """The units of a packet of Annex B."""
+    return [unit.rstrip(b"\0") for unit in data.split(b"\0\0\1") if unit.strip(b"\0")]
+
+
+def with_lengths(data: bytes) -> bytes:
+    return b"".join(len(unit).to_bytes(4, "big") + unit for unit in units(data))
+
+
+def test_a_length_that_looks_like_a_start_code() -> None:
+    unit = b"\x65" + bytes(range(1, 255)) + b"\x77" * 60
+    data = len(unit).to_bytes(4, "big") + unit
+    assert data.startswith(b"\0\0\1")
+    assert to_annex_b(data) == b"\0\0\0\1" + unit
+    short_codes = b"\0\0\1\x67" + unit
+    assert to_annex_b(short_codes) == short_codes
+
+
+@pytest.mark.parametrize("options", [{}, {"profile": "baseline"}, {"profile": "high", "cqm": "jvt"}])
+def test_what_stands_on_a_lost_picture_of_h264_is_bad(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, str]
+) -> None:
+    """FFmpeg would give the picture before it, or a smeared one, as if nothing were wrong."""
+    name, always = ENCODERS["h264"]
+    monkeypatch.setitem(ENCODERS, "h264", (name, always | options))
+    whole = dict(enumerate(encode("h264")))
+    for lost in range(N_PICTURES):
+        packets = {i: data for i, data in whole.items() if i != lost}
+        recording = open_recording(record(tmp_path / f"{lost}.mcap", packets, protobuf("h264")))
+        frames = list(iter_frames(recording))
+        shown = {i: frame for i, frame in zip(packets, frames, strict=True) if frame.image is not None}
+        assert all(looks_like(frame.image) == i for i, frame in shown.items())
+        assert shown.keys() == whole.keys() - set(range(lost, (lost // KEY_EVERY + 1) * KEY_EVERY))
+
+
+@given(st.binary(max_size=300), st.sampled_from([b"\x67", b"\x41", b"\x65"]), st.binary(max_size=40))
+def test_damaged_heads_of_h264_tell_nothing(before: bytes, head: bytes, data: bytes) -> None:
+    """Whatever they hold: no exception, no time, no memory."""
+    finder = GapFinder()
+    finder.is_after_gap(b"\0\0\1\x67\x42\xc0\x1e\xd9" + before)
+    assert finder.is_after_gap(b"\0\0\1" + head + data) in {True, False}
+
+
+def test_a_picture_in_a_video_channel(tmp_path: Path) -> None:
+    """The first bytes outrank the schema."""
+    packets = dict(enumerate(encode("h264", 4)))
+    packets[2] = factories.encoded_picture(7)
+    frames = list(iter_frames(open_recording(record(tmp_path / "a.mcap", packets, protobuf("h264")))))
+    assert factories.number_of(frames[2].image) == 7
+    assert looks_like(frames[1].image) == 1
 
 
 @pytest.mark.parametrize("encoding", ["json", "flatbuffer", "foxglove ros2", "ros2"])

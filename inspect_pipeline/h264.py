@@ -91,8 +91,7 @@ def _parse_sequence(bits: _Bits) -> _Sequence:
     profile = bits.take(8)
     bits.take(16)  # constraints, level
     bits.take_ue()  # its own number
-    has_colour_planes = _skip_chroma(bits) if profile in _MAX_FRAME_NUM_BITS = 16
-_PROFILES_WITH_CHROMA else False
+    has_colour_planes = _skip_chroma(bits) if profile in _PROFILES_WITH_CHROMA else False
     frame_num_bits = bits.take_ue() + 4
     if frame_num_bits > _MAX_FRAME_NUM_BITS:
         raise IndexError("damaged")

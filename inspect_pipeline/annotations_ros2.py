@@ -5,7 +5,6 @@ Their definitions are in schemas/*.msg.
 
 from __future__ import annotations
 
-import struct
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
@@ -13,65 +12,20 @@ import numpy as np
 
 from inspect_pipeline.annotation_schema import ANNOTATIONS_SUFFIX, DETECTIONS_SUFFIX, AnnotationSchema
 from inspect_pipeline.annotations_drawing import LINE_STRIP, THICKNESS_PX, draw
+from inspect_pipeline.cdr import CdrWriter
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from inspect_pipeline.annotations_drawing import Drawing
     from inspect_pipeline.types import Frame
     from lsnet.segments import Detections
 
-_LITTLE_ENDIAN = b"\0\1\0\0"
 _NO_COLOUR = np.zeros(4)
 _NO_COLOURS = np.zeros((0, 4))
-_MAX_SECONDS = 2**31 - 1
-
-
-class _CdrWriter:
-    """Builds a message of XCDR1: numbers are aligned to their size, counted from behind the head."""
-
-    def __init__(self) -> None:
-        self._body = bytearray()
-
-    def number(self, code: str, value: float) -> None:
-        """A number by its code in `struct`."""
-        self._align(struct.calcsize("<" + code))
-        self._body += struct.pack("<" + code, value)
-
-    def text(self, value: str) -> None:
-        """A string, with its length and a terminating zero."""
-        encoded = value.encode() + b"\0"
-        self.number("I", len(encoded))
-        self._body += encoded
-
-    def time(self, time_ns: int) -> None:
-        """A builtin_interfaces/Time; its seconds end in 2038."""
-        seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
-        self.number("i", min(seconds, _MAX_SECONDS))
-        self.number("I", nanoseconds)
-
-    def numbers(self, values: NDArray[np.floating], dtype: str) -> None:
-        """Numbers of one type, one after another."""
-        if values.size:
-            self._align(np.dtype(dtype).itemsize)
-            self._body += values.astype(dtype).tobytes()
-
-    def sequence(self, rows: NDArray[np.floating], dtype: str) -> None:
-        """A sequence of messages made of numbers of one type: (N, number of fields)."""
-        self.number("I", len(rows))
-        self.numbers(rows, dtype)
-
-    def finish(self) -> bytes:
-        """The message."""
-        return _LITTLE_ENDIAN + bytes(self._body)
-
-    def _align(self, size: int) -> None:
-        self._body += bytes(-len(self._body) % size)
 
 
 def encode_image_annotations(frame: Frame, detections: Detections | None) -> bytes:
     """A foxglove_msgs/msg/ImageAnnotations message, every annotation with the image's stamp."""
-    out = _CdrWriter()
+    out = CdrWriter()
     drawings = draw(detections)
     out.number("I", 0)  # circles
     out.number("I", len(drawings))
@@ -81,7 +35,7 @@ def encode_image_annotations(frame: Frame, detections: Detections | None) -> byt
     return out.finish()
 
 
-def _write_points_annotation(out: _CdrWriter, stamp_ns: int, drawing: Drawing) -> None:
+def _write_points_annotation(out: CdrWriter, stamp_ns: int, drawing: Drawing) -> None:
     is_strip = drawing.kind == LINE_STRIP
     out.time(stamp_ns)
     out.number("B", drawing.kind)
@@ -95,7 +49,7 @@ def _write_points_annotation(out: _CdrWriter, stamp_ns: int, drawing: Drawing) -
 def encode_detections(frame: Frame, detections: Detections | None) -> bytes:
     """An lsnet_msgs/msg/Detections message; of an image that could not be decoded, with the reason."""
     height, width = detections.segments.image_size if detections else (0, 0)
-    out = _CdrWriter()
+    out = CdrWriter()
     out.time(frame.stamp_ns)
     out.text(frame.frame_id)
     out.number("Q", frame.frame_idx)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -24,6 +24,15 @@ if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Schema
 
     from inspect_pipeline.attitude import Quaternion
+
+
+class MessageSchema(NamedTuple):
+    """The name, encoding and text of a schema, and how messages of it are encoded."""
+
+    name: str
+    encoding: str
+    data: bytes
+    message_encoding: str
 
 
 @contextmanager
@@ -173,6 +182,18 @@ class RecordingAuthor:
         if key not in self._copied_schema_ids:
             self._copied_schema_ids[key] = self._writer.register_schema(*key)
         return self._copied_schema_ids[key]
+
+    def write_encoded(self, topic: str, time_ns: int, schema: MessageSchema, data: bytes) -> None:
+        """Append a message that is encoded already."""
+        if topic not in self._channel_ids:
+            if schema.name not in self._schema_ids:
+                self._schema_ids[schema.name] = self._writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
+            self._channel_ids[topic] = self._writer.register_channel(
+                topic, schema.message_encoding, self._schema_ids[schema.name]
+            )
+        self._writer.add_message(self._channel_ids[topic], time_ns, data, publish_time=time_ns)
 
     def _write(self, topic: str, time_ns: int, message: Message) -> None:
         if topic not in self._channel_ids:

@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from inspect_pipeline.attitude import YawPitchRoll, to_enu
 from inspect_pipeline.authoring import new_recording
+from inspect_pipeline.authoring_ros2 import Ros2Author
 from inspect_pipeline.errors import OutputError
 from inspect_pipeline.simulate_ground import draw_ground
-from inspect_pipeline.simulate_options import SimulationOptions
+from inspect_pipeline.simulate_options import SchemaKind, SimulationOptions
 from inspect_pipeline.simulate_plan import POSE_PERIOD_NS, START_NS, plan_flight
 from inspect_pipeline.simulate_render import Landscape, render
 from inspect_pipeline.simulate_scene import plant_trees
-from inspect_pipeline.simulate_truth import compass_deg, to_geodetic, truth_of
+from inspect_pipeline.simulate_truth import compass_deg, to_east_north, to_geodetic, truth_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,10 +32,27 @@ if TYPE_CHECKING:
     from inspect_pipeline.simulate_scene import Camera
     from inspect_pipeline.simulate_types import FlightTruth, FrameTruth
 
+    Author = RecordingAuthor | Ros2Author
+
 __all__ = ["SimulationOptions", "simulate_flight"]
 
-IMAGE_TOPIC, CALIBRATION_TOPIC = "/camera/image", "/camera/calibration"
-LOCATION_TOPIC, VEHICLE_TOPIC, CAMERA_TOPIC = "/drone/location", "/drone/attitude", "/camera/attitude"
+
+class _Topics(NamedTuple):
+    image: str
+    calibration: str
+    location: str
+    vehicle: str
+    camera: str
+
+
+_TOPICS = {
+    SchemaKind.FOXGLOVE: _Topics(
+        "/camera/image", "/camera/calibration", "/drone/location", "/drone/attitude", "/camera/attitude"
+    ),
+    SchemaKind.ROS2: _Topics(
+        "/camera/image/compressed", "/camera/camera_info", "/drone/fix", "/drone/pose", "/camera/pose"
+    ),
+}
 _VIEW_M = (-5.0, 75.0)  # where trees are planted, behind and ahead of the flight
 _ARM_BEYOND_M = 0.2
 _JPEG_QUALITY = 92
@@ -49,8 +67,8 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     plan = plan_flight(options)
     truth = truth_of(plan)
     try:
-        with new_recording(target) as author:
-            _fly(author, plan, truth)
+        with new_recording(target, "ros2" if options.schema == SchemaKind.ROS2 else "") as author:
+            _fly(Ros2Author(author) if options.schema == SchemaKind.ROS2 else author, plan, truth)
         truth_path.write_text(json.dumps(_to_json(truth)) + "\n", encoding="utf-8")
     except FileExistsError as error:
         raise OutputError(target, "it exists already", "remove it or name another file") from error
@@ -59,8 +77,9 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     return truth_path
 
 
-def _fly(author: RecordingAuthor, plan: FlightPlan, truth: FlightTruth) -> None:
+def _fly(author: Author, plan: FlightPlan, truth: FlightTruth) -> None:
     """Write all messages in the order of time."""
+    topics = _TOPICS[plan.options.schema]
     rng = np.random.default_rng(plan.options.seed)
     landscape = _make_landscape(rng, plan)
     fixes_ns = set(plan.position_times_ns())
@@ -68,14 +87,14 @@ def _fly(author: RecordingAuthor, plan: FlightPlan, truth: FlightTruth) -> None:
     for frame in truth.frames:
         time_ns = frame.log_time_ns - START_NS
         while next_ns <= time_ns:
-            _write_attitudes(author, plan, next_ns)
+            _write_attitudes(author, topics, plan, next_ns)
             if next_ns in fixes_ns:
-                _write_location(author, plan, next_ns)
+                _write_location(author, topics.location, plan, next_ns)
             next_ns += POSE_PERIOD_NS
         if not frame.dropped:
             camera = plan.camera(time_ns)
-            _write_calibration(author, frame, camera)
-            _write_image(author, frame, render(landscape, camera, frame.quality, rng))
+            _write_calibration(author, topics.calibration, frame, camera)
+            _write_image(author, topics.image, frame, render(landscape, camera, frame.quality, rng))
 
 
 def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
@@ -99,21 +118,21 @@ def _to_json(truth: FlightTruth) -> dict[str, Any]:
         return np.round(value, 2).tolist() if isinstance(value, np.ndarray) else value
 
     fields = asdict(truth, dict_factory=lambda items: {name: plain(value) for name, value in items})
-    return {"image_topic": IMAGE_TOPIC, **fields}
+    return {"image_topic": _TOPICS[truth.options.schema].image, **fields}
 
 
 def _write_image(
-    author: RecordingAuthor, frame: FrameTruth, image: np.ndarray[Any, np.dtype[np.uint8]]
+    author: Author, topic: str, frame: FrameTruth, image: np.ndarray[Any, np.dtype[np.uint8]]
 ) -> None:
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
-    author.write_image(IMAGE_TOPIC, frame.log_time_ns, "camera", data, "jpeg", stamp_ns=frame.stamp_ns)
+    author.write_image(topic, frame.log_time_ns, "camera", data, "jpeg", stamp_ns=frame.stamp_ns)
 
 
-def _write_calibration(author: RecordingAuthor, frame: FrameTruth, camera: Camera) -> None:
+def _write_calibration(author: Author, topic: str, frame: FrameTruth, camera: Camera) -> None:
     height, width = camera.image_size
     author.write_calibration(
-        CALIBRATION_TOPIC,
+        topic,
         frame.log_time_ns,
         "camera",
         image_size=camera.image_size,
@@ -122,10 +141,10 @@ def _write_calibration(author: RecordingAuthor, frame: FrameTruth, camera: Camer
     )
 
 
-def _write_location(author: RecordingAuthor, plan: FlightPlan, time_ns: int) -> None:
+def _write_location(author: Author, topic: str, plan: FlightPlan, time_ns: int) -> None:
     latitude_deg, longitude_deg, altitude_m = to_geodetic(plan, np.array(plan.pose(time_ns).position))
     author.write_location(
-        LOCATION_TOPIC,
+        topic,
         START_NS + time_ns,
         "drone",
         latitude_deg=latitude_deg,
@@ -134,13 +153,14 @@ def _write_location(author: RecordingAuthor, plan: FlightPlan, time_ns: int) -> 
     )
 
 
-def _write_attitudes(author: RecordingAuthor, plan: FlightPlan, time_ns: int) -> None:
+def _write_attitudes(author: Author, topics: _Topics, plan: FlightPlan, time_ns: int) -> None:
     pose = plan.pose(time_ns)
     vehicle = YawPitchRoll(compass_deg(plan, pose.heading_rad), 0.0, 0.0)
     camera = YawPitchRoll(compass_deg(plan, pose.yaw_rad), -float(np.rad2deg(pose.pitch_rad)), 0.0)
-    above_m = (0.0, 0.0, pose.position[2])
+    x, y, above_m = pose.position
+    place_m = (*to_east_north(plan, x, y), above_m)
     for topic, child, turns in (
-        (VEHICLE_TOPIC, "base_link", vehicle),
-        (CAMERA_TOPIC, "camera_link", camera),
+        (topics.vehicle, "base_link", vehicle),
+        (topics.camera, "camera_link", camera),
     ):
-        author.write_attitude(topic, START_NS + time_ns, "map", child, to_enu(turns), translation_m=above_m)
+        author.write_attitude(topic, START_NS + time_ns, "map", child, to_enu(turns), translation_m=place_m)

@@ -74,7 +74,8 @@ def _plant(
         changed = cross(line, from_x + rng.uniform(*_MIDDLE_SHARE) * SPAN_M, rng.uniform(*_CROSSING_RAD))
         foreign = changed.foreign[-1]
         return changed, PlantedFault(kind, span, (foreign.conductor_id,), foreign.points)
-    number = int(rng.integers(len(line.conductors) - 1))
+    n_phases = max(1, len(line.conductors) - 2)  # whose next conductor is a phase too, where there are two
+    number = int(rng.integers(n_phases))
     conductor, neighbour = line.conductors[number : number + 2]
     name, points = conductor.conductor_id, conductor.points
     along = (points[:, 0] - from_x) / SPAN_M

@@ -15,6 +15,13 @@ class FlightKind(StrEnum):
     LOSS = "loss"
 
 
+class SchemaKind(StrEnum):
+    """What the messages of the recording are: protobuf as Foxglove has them, or those of ROS 2."""
+
+    FOXGLOVE = "foxglove"
+    ROS2 = "ros2"
+
+
 class FaultKind(StrEnum):
     """What can be wrong with the line, then with the pictures and the messages."""
 
@@ -55,3 +62,4 @@ class SimulationOptions:
     n_phases: int = 3
     n_bundle: int = 1
     faults: tuple[FaultKind, ...] = ()
+    schema: SchemaKind = SchemaKind.FOXGLOVE

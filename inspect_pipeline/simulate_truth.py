@@ -57,8 +57,8 @@ _STRUCK: dict[FaultKind, Quality] = {
     FaultKind.OVEREXPOSED: "overexposed",
 }
 _MEASURES: dict[Quality, tuple[float, float]] = {  # sharpness, mean_luma of drawn frames
-    "ok": (600.0, 105.0),
-    "blurred": (12.0, 105.0),
+    "ok": (200.0, 98.0),
+    "blurred": (12.0, 98.0),
     "dark": (20.0, 12.0),
     "overexposed": (60.0, 243.0),
 }
@@ -136,13 +136,18 @@ def _quality(plan: FlightPlan, shot: Shot) -> Quality:
 
 def to_geodetic(plan: FlightPlan, point: Floats) -> tuple[float, float, float]:
     """Latitude, longitude and ellipsoidal altitude of x, y, z in m."""
-    azimuth_rad = np.deg2rad(plan.azimuth_deg)
     along, left, up = point.tolist()
-    north_m = along * np.cos(azimuth_rad) + left * np.sin(azimuth_rad)
-    east_m = along * np.sin(azimuth_rad) - left * np.cos(azimuth_rad)
+    east_m, north_m = to_east_north(plan, along, left)
     lat_deg = _ORIGIN_DEG[0] + np.rad2deg(north_m / _NORTH_M)
     lon_deg = _ORIGIN_DEG[1] + np.rad2deg(east_m / _EAST_M)
     return float(lat_deg), float(lon_deg), GROUND_M + up
+
+
+def to_east_north(plan: FlightPlan, x: float, y: float) -> tuple[float, float]:
+    """Metres east and north of the origin."""
+    azimuth_rad = np.deg2rad(plan.azimuth_deg)
+    sine, cosine = float(np.sin(azimuth_rad)), float(np.cos(azimuth_rad))
+    return x * sine - y * cosine, x * cosine + y * sine
 
 
 def compass_deg(plan: FlightPlan, yaw_rad: float) -> float:

@@ -1,11 +1,19 @@
-"""Fixtures that need something from outside the tree."""
+"""Fixtures that several files share."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
+
+from inspect_pipeline import simulate
+from inspect_pipeline.simulate_ground import TILE_TEXELS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 @pytest.fixture(scope="session")
@@ -15,3 +23,11 @@ def data_dir() -> Path:
     if not folder:
         pytest.skip("LSNET_PIPE_DATA does not name the folder of shared material")
     return Path(folder) / "data"
+
+
+@pytest.fixture(scope="module")
+def flat_ground() -> Iterator[None]:
+    """Simulated flights over bare ground, whose drawing takes no time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulate, "draw_ground", lambda rng: np.full((*TILE_TEXELS, 3), 90, np.uint8))
+        yield

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from inspect_pipeline.simulate_options import FaultKind, FlightKind, SchemaKind
+
 
 def _parse_size(text: str) -> tuple[int, int]:
     """(height, width) of a text like 1280x720."""
@@ -22,12 +24,34 @@ def simulate(
     fps: Annotated[float, typer.Option(min=0.1, help="Images per second.")] = 2.0,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Of the images, in px.")] = "1280x720",
     seed: Annotated[int, typer.Option(min=0, help="Another seed is another landscape and line.")] = 0,
+    flight: Annotated[FlightKind, typer.Option(help="How the drone flies.")] = FlightKind.PASS_BY,
+    fault: Annotated[
+        list[FaultKind] | None, typer.Option(help="Plant one, where the flight shows it; may be repeated.")
+    ] = None,
+    structures: Annotated[
+        int | None, typer.Option(min=2, metavar="N", help="Of a line that ends; else it goes on.")
+    ] = None,
+    phases: Annotated[int, typer.Option(min=1, max=12, metavar="N", help="Beside each other.")] = 3,
+    bundle: Annotated[int, typer.Option(min=1, max=4, metavar="N", help="Wires of a phase.")] = 1,
+    schema: Annotated[SchemaKind, typer.Option(help="Of the messages.")] = SchemaKind.FOXGLOVE,
 ) -> None:
     """Make a recording of a drawn flight along a power line, and beside it the truth as FILE.truth.json.
 
-    Example: lsnet-pipe simulate demo.mcap --seconds 10
+    Example: lsnet-pipe simulate demo.mcap --seconds 10 --fault missing_conductor
     """
     from inspect_pipeline.simulate import SimulationOptions, simulate_flight
 
-    truth = simulate_flight(target, SimulationOptions(seconds, fps, _parse_size(size), seed))
+    options = SimulationOptions(
+        seconds=seconds,
+        fps=fps,
+        image_size=_parse_size(size),
+        seed=seed,
+        flight=flight,
+        n_structures=structures,
+        n_phases=phases,
+        n_bundle=bundle,
+        faults=tuple(fault or ()),
+        schema=schema,
+    )
+    truth = simulate_flight(target, options)
     typer.echo(f"{target}\n{truth}")

@@ -108,7 +108,9 @@ def test_lenses_of_smaller_pictures_and_of_a_view() -> None:
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulationOptions, list[dict[str, object]]]:
+def rows(
+    tmp_path_factory: pytest.TempPathFactory, flat_ground: None
+) -> tuple[SimulationOptions, list[dict[str, object]]]:
     """The frames of a simulated flight that was processed."""
     folder = tmp_path_factory.mktemp("placing")
     options = SimulationOptions(

@@ -11,13 +11,14 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Protocol
 
 from inspect_pipeline import index
 from inspect_pipeline.config import start_described_run
 from inspect_pipeline.errors import InspectError, StoreError
 from inspect_pipeline.executor_local import LocalExecutor
+from inspect_pipeline.flight import ANNOTATED
 from inspect_pipeline.inbox import Candidate, discover
 from inspect_pipeline.quarantine import Quarantine, QuarantineNote
 from inspect_pipeline.runs import Counts, RunSummary, save_run
@@ -42,7 +43,8 @@ class BatchOptions:
 
     inboxes: folders, files and glob patterns; since_ns: only files changed since, ns since 1970; limit:
     recordings to process at most; timeout_s: of one attempt; max_attempts: before a recording that kills or
-    outstays its worker goes to quarantine; settle_s: how long a file must be unchanged to count as written.
+    outstays its worker goes to quarantine; settle_s: how long a file must be unchanged to count as written;
+    keep_annotated_days: annotated copies of flights made longer ago are removed, None for never.
     """
 
     inboxes: tuple[str, ...]
@@ -53,6 +55,7 @@ class BatchOptions:
     max_attempts: int = 3
     settle_s: float = 10.0
     tags: Mapping[str, str] = field(default_factory=dict)
+    keep_annotated_days: float | None = None
 
 
 class Report(Protocol):
@@ -155,6 +158,8 @@ class _Batch:
         self._process(written)
         if young:
             self._process(self._wait_for(young))
+        if self._options.keep_annotated_days is not None:
+            self._remove_annotated_copies(timedelta(days=self._options.keep_annotated_days))
 
     def _is_due(self, candidate: Candidate) -> bool:
         """Whether a recording is to be processed; counted if not."""
@@ -246,6 +251,15 @@ class _Batch:
         self._store.append_manifest("quarantine", path=note.path, reason=note.reason, run_id=self._run.run_id)
         self._counts = self._counts.plus(n_quarantined=1)
         self._report("recording quarantined", **note.to_json(), duration_s=round(outcome.seconds, 3))
+
+    def _remove_annotated_copies(self, age: timedelta) -> None:
+        """Remove those of flights that are older; what was found in them stays."""
+        flights, _ = self._store.scan()
+        oldest = datetime.now(UTC) - age
+        for flight in flights:
+            if flight.record.ingested_at < oldest and (flight.folder / ANNOTATED).exists():
+                self._store.remove_annotated_copy(flight)
+                self._report("annotated copy removed", flight_id=flight.record.flight_id)
 
     def _publish(self) -> None:
         change = index.publish(self._store)

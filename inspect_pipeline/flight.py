@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 RESULT_VERSION = 2
-_BEFORE_2: dict[str, Any] = {"warnings": (), "annotations": "annotated.mcap"}
+ANNOTATED, SIDECAR = "annotated.mcap", "annotations.mcap"  # in a flight's folder
+_BEFORE_2: dict[str, Any] = {"warnings": (), "annotations": ANNOTATED}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,11 @@ class FlightRecord:
     def with_files(self, files: Mapping[str, int]) -> FlightRecord:
         """The same flight with the sizes of its files."""
         return replace(self, files=dict(files))
+
+    def without_annotations(self) -> FlightRecord:
+        """The same flight after the file that holds its annotations was removed."""
+        files = {name: size for name, size in self.files.items() if name != self.annotations}
+        return replace(self, files=files, annotations=None)
 
     def to_json(self) -> dict[str, Any]:
         """The content of result.json: plain JSON values, times as ISO 8601 in UTC."""

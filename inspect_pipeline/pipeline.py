@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from inspect_pipeline.annotations import FrameAnnotator
 from inspect_pipeline.config import model_record, run_metadata
-from inspect_pipeline.flight import FlightRecord
+from inspect_pipeline.flight import ANNOTATED, SIDECAR, FlightRecord
 from inspect_pipeline.placing import FramePlacer
 from inspect_pipeline.quality import ImageQuality, measure_quality
 from inspect_pipeline.recording import RUN_METADATA
 from inspect_pipeline.recording_frames import iter_frames
-from inspect_pipeline.sources import ANNOTATED, SIDECAR, open_source
+from inspect_pipeline.sources import open_source
 from inspect_pipeline.stamps import StampCheck
 from inspect_pipeline.tables import FlightWriter
 from inspect_pipeline.types import ProcessResult

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.flight import ANNOTATED
 from inspect_pipeline.parts import find_parts, join_parts
 from inspect_pipeline.recording import open_recording
 
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.flight import FlightRecord
     from inspect_pipeline.recording import Recording
-
-
-ANNOTATED, SIDECAR = "annotated.mcap", "annotations.mcap"  # in a flight's folder
 
 
 @dataclass(frozen=True, eq=False)

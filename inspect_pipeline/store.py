@@ -31,8 +31,9 @@ from inspect_pipeline.files import (
     move_folder_into_place,
     store_errors,
     undo_move_aside,
+    write_whole,
 )
-from inspect_pipeline.flight import RESULT_VERSION, FlightRecord
+from inspect_pipeline.flight import ANNOTATED, RESULT_VERSION, FlightRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -77,10 +78,11 @@ class Staging:
             files = {p.relative_to(self.path).as_posix(): p for p in self.path.rglob("*") if p.is_file()}
             fsync_tree(self.path)
             sized = record.with_files({name: files[name].stat().st_size for name in sorted(files)})
-            (self.path / _RESULT).write_text(json.dumps(sized.to_json(), indent=1) + "\n", encoding="utf-8")
+            (self.path / _RESULT).write_text(_to_text(sized), encoding="utf-8")
             fsync_path(self.path / _RESULT)
             fsync_path(self.path)
-            move_folder_into_place(self.path, final, _aside(self.path))
+            with self._store.changing_flights():
+                move_folder_into_place(self.path, final, _aside(self.path))
             fsync_path(final.parent)
         self._store.append_manifest(
             "flight", flight_id=record.flight_id, source=record.source_uri, run_id=record.run.run_id
@@ -144,10 +146,31 @@ class Store:
                     raise explain_os_error(self.root, error) from error
                 raise
 
+    def remove_annotated_copy(self, stored: StoredFlight) -> None:
+        """Remove the annotated copy of a flight, which its record says first; raises StoreError.
+
+        A flight that was replaced meanwhile keeps its own.
+        """
+        with store_errors(self.root), self.changing_flights():
+            if self._load(stored.folder) != stored:
+                return
+            if stored.record.annotations == ANNOTATED:
+                record = stored.record.without_annotations()
+                write_whole(stored.folder / _RESULT, _to_text(record))
+            (stored.folder / ANNOTATED).unlink(missing_ok=True)
+        self.append_manifest("annotated copy removed", flight_id=stored.record.flight_id)
+
+    @contextmanager
+    def changing_flights(self) -> Iterator[None]:
+        """Keep every other process from putting a flight in place or changing one; raises OSError."""
+        self._staging.mkdir(parents=True, exist_ok=True)
+        with acquire_lock(self._staging / "mutex", wait=True):
+            yield
+
     @contextmanager
     def _own(self, path: Path) -> Iterator[None]:
         """Hold the lock beside the staging folder `path`, which tells others that its process lives."""
-        with store_errors(self.root), acquire_lock(self._staging / "mutex", wait=True):
+        with store_errors(self.root), self.changing_flights():
             self._discard_dead()
             lock = acquire_lock(_lock_of(path), wait=False)
         with lock:
@@ -159,7 +182,7 @@ class Store:
     def remove_leftovers(self) -> None:
         """Remove what killed processes left behind; live ones keep theirs. Raises StoreError."""
         if self._staging.exists():
-            with store_errors(self.root), acquire_lock(self._staging / "mutex", wait=True):
+            with store_errors(self.root), self.changing_flights():
                 self._discard_dead()
 
     def _discard_dead(self) -> None:
@@ -221,6 +244,10 @@ class Store:
         except OSError as error:
             raise explain_os_error(folder, error) from error
         return StoredFlight(folder, record, hashlib.sha256(content).hexdigest())
+
+
+def _to_text(record: FlightRecord) -> str:
+    return json.dumps(record.to_json(), indent=1) + "\n"
 
 
 def _lock_of(staging: Path) -> Path:

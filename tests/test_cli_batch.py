@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import time
+import tomllib
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
@@ -75,8 +76,8 @@ def test_a_night_as_people_see_it(run: Callable[..., Outcome], tmp_path: Path) -
     assert "odd" in run("quarantine", "clear").out
     assert run("batch", "inbox").exit_code == 0
     head, *nights = run("runs").out.splitlines()
-    assert head.split()[:4] == ["started", "seconds", "exit", "processed"]
-    assert [night.split()[3:5] for night in nights] == [["3", "2"], ["3", "0"], ["0", "0"]]
+    assert head.split()[:5] == ["started", "command", "seconds", "exit", "processed"]
+    assert [night.split()[4:6] for night in nights] == [["3", "2"], ["3", "0"], ["0", "0"]]
     assert json.loads(run("runs", "--json").out.splitlines()[0])["counts"]["n_processed"] == 2
 
 
@@ -111,6 +112,41 @@ def test_options_from_a_file(run: Callable[..., Outcome], tmp_path: Path) -> Non
         (tmp_path / "night.toml").write_text(text)
         outcome = run("batch", "inbox", "--config", "night.toml")
         assert (outcome.exit_code, words in outcome.err) == (2, True)
+
+
+def test_every_option_can_be_in_the_file(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    (tmp_path / "night.toml").write_text(
+        """
+        inbox = ["inbox"]
+        store = "elsewhere"
+        since = 1970-01-01T00:00:00Z
+        dry-run = true
+        limit = 2
+        jobs = 2
+        timeout = 60
+        max-attempts = 1
+        settle = 0.5
+        topic = ["/camera"]
+        every = 2
+        strict = true
+        write = "none"
+        schema = "protobuf"
+        weights = "fast"
+        scale = 0.5
+        min-score = 0.4
+        tag = ["line=L12"]
+        keep-annotated = 30
+        metrics = "lsnet.prom"
+        on-finish = "true"
+        log-format = "json"
+        """
+    )
+    named = set(tomllib.loads((tmp_path / "night.toml").read_text()))
+    told = run("batch", "--config", "night.toml")
+    assert (told.exit_code, len(told.out.splitlines())) == (0, 2)
+    (tmp_path / "night.toml").write_text("x = 1")
+    known = run("batch", "--config", "night.toml").err.replace("\n", " ").rsplit("there are:", 1)[1]
+    assert set(known.replace(",", " ").split()) == named
 
 
 def test_a_dry_run_writes_nothing(run: Callable[..., Outcome], tmp_path: Path) -> None:

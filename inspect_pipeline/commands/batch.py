@@ -77,6 +77,10 @@ def batch(
         list[str] | None,
         typer.Option(parser=_parse_tag, metavar="KEY=VALUE", help="Kept with the run, may be repeated."),
     ] = None,
+    keep_annotated: Annotated[
+        float | None,
+        typer.Option(min=0.0, metavar="DAYS", help="Remove annotated copies made longer ago."),
+    ] = None,
     metrics: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write figures for Prometheus, as in lsnet.prom.")
     ] = None,
@@ -109,6 +113,7 @@ def batch(
         timeout_s=timeout,
         max_attempts=max_attempts,
         settle_s=settle,
+        keep_annotated_days=keep_annotated,
         tags=dict(item.split("=", 1) for item in tag or ()),
     )
     with open_log(log_format) as report:

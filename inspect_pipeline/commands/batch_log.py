@@ -27,6 +27,7 @@ _LINES = {
     "recording changed while it was read": "{path}: changed while it was read, left for the next run",
     "recording still being written": "{path}: still being written, left for the next run",
     "link out of the inbox left alone": "{path}: leads out of the inbox, left alone",
+    "annotated copy removed": "annotated copy of flight {flight_id:.16} removed",
     "index published": "index published, {n_flights} flights",
 }
 _ENDS = ("recording done", "recording quarantined", "recording changed while it was read")

@@ -7,6 +7,7 @@ import os
 import time
 from collections import Counter
 from dataclasses import asdict
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING
 
 import duckdb
@@ -14,7 +15,7 @@ import pytest
 from factories import Shot, make_recording, shots
 from stubs import HANG, KILL_ONCE, RAISE, InlineExecutor, MakeStub
 
-from inspect_pipeline import batch
+from inspect_pipeline import batch, index
 from inspect_pipeline.batch import BatchOptions, plan_batch, run_batch
 from inspect_pipeline.config import ProcessOptions
 from inspect_pipeline.errors import StoreBusyError
@@ -187,6 +188,33 @@ def test_hostile_topic_names_are_only_names(night: Night) -> None:
     with duckdb.connect(night.store.index_path, read_only=True) as connection:
         assert connection.execute("SELECT topic FROM channels").fetchall() == [(topic,)]
     assert path.exists()
+
+
+def test_old_annotated_copies_are_removed_and_their_rows_stay(night: Night) -> None:
+    night.add("old", 1, 2)
+    night.run()
+    (old,) = night.store.root.glob("flights/*/annotated.mcap")
+    _ingest_earlier(old.with_name("result.json"), timedelta(days=31))
+    night.add("new", 1)
+    assert night.run(keep_annotated_days=30).exit_code == 0
+    assert [path.exists() for path in (old, old.with_name("frames.parquet"))] == [False, True]
+    assert len(list(night.store.root.glob("flights/*/annotated.mcap"))) == 1
+    assert night.indexed() == {"old.mcap": 2, "new.mcap": 1}
+    assert index.verify(night.store) == ()
+    flight_id = json.loads(old.with_name("result.json").read_text())["flight_id"]
+    assert ("annotated copy removed", {"flight_id": flight_id}) in night.events
+    assert night.counts(night.run(keep_annotated_days=30)) == {"found": 2, "skipped": 2}
+    assert "annotated copy removed" not in [event for event, _ in night.events]
+    old.write_bytes(b"left by a kill between the record and the file")
+    night.run(keep_annotated_days=30)
+    assert not old.exists()
+
+
+def _ingest_earlier(result: Path, age: timedelta) -> None:
+    """Date the record of a flight back."""
+    value = json.loads(result.read_text())
+    then = datetime.fromisoformat(value["ingested_at"]) - age
+    result.write_text(json.dumps(value | {"ingested_at": then.isoformat()}))
 
 
 def test_a_detector_that_cannot_be_loaded_ends_the_run(real_night: Night) -> None:

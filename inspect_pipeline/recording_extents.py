@@ -161,6 +161,8 @@ def read_chunk_head(file: RecordingFile, offset: int, length: int) -> ChunkHead:
 def read_extent(file: RecordingFile, extent: Extent) -> bytes:
     """The records of an extent, decompressed and checked against the chunk's CRC. Raises Damage."""
     if extent.chunk is None:
+        if extent.length > MAX_CHUNK_BYTES:
+            raise Damage(f"a message claims more than {MAX_CHUNK_BYTES >> 20} MiB")
         return file.read(extent.offset, extent.length)
     opcode, length = file.record_head(extent.offset)
     if opcode != Opcode.CHUNK:

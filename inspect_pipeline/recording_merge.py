@@ -7,6 +7,7 @@ size; what falls out of it is read again.
 
 from __future__ import annotations
 
+from array import array
 from collections import OrderedDict
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, NamedTuple
@@ -57,39 +58,46 @@ def iter_messages(
 
 
 class _Merge:
-    """The open extents: a heap of their waiting messages, and the records of those used last."""
+    """The open extents: a heap with the next message of each, and the records of those used last."""
 
     def __init__(self, file: RecordingFile, channel_ids: frozenset[int]) -> None:
         self._channel_ids = channel_ids
         self._cache = _RecordsCache(file)
-        self._waiting: list[tuple[int, int, int, int]] = []  # log time, extent's offset, body's start, end
-        self._open: dict[int, tuple[Extent, int]] = {}  # by offset: extent, number of messages waiting
+        self._next: list[tuple[int, int, int, int]] = []  # heap: log time, extent's offset, body's start, end
+        self._open: dict[int, tuple[Extent, Iterator[tuple[int, int, int]]]] = {}  # by offset
 
     def open(self, extent: Extent) -> None:
-        entries = message_entries(self._cache.records(extent), self._channel_ids)
-        for log_time_ns, start, end in entries:
-            heappush(self._waiting, (log_time_ns, extent.offset, start, end))
-        if entries:
-            self._open[extent.offset] = (extent, len(entries))
-        else:
-            self._cache.drop(extent)
+        entries = sorted(message_entries(self._cache.records(extent), self._channel_ids))
+        # Where every chunk overlaps every other all are open at once: 16 bytes a message.
+        columns = (
+            array(code, column) for code, column in zip("QII", zip(*entries, strict=True), strict=False)
+        )
+        self._open[extent.offset] = (extent, zip(*columns, strict=True))
+        self._advance(extent.offset)
 
     def before(self, end_ns: int | None) -> Iterator[Message]:
         """Take the waiting messages with log time < end_ns (None: all of them), in order."""
-        while self._waiting and (end_ns is None or self._waiting[0][0] < end_ns):
+        while self._next and (end_ns is None or self._next[0][0] < end_ns):
             yield self._pop()
 
     def _pop(self) -> Message:
-        _, offset, start, end = heappop(self._waiting)
-        extent, n_waiting = self._open.pop(offset)
-        records = self._cache.records(extent)
-        if n_waiting > 1:
-            self._open[offset] = (extent, n_waiting - 1)
-        else:
-            self._cache.drop(extent)
+        _, offset, start, end = heappop(self._next)
+        records = self._cache.records(self._open[offset][0])
+        self._advance(offset)
         channel_id, _, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(records, start)
         data = memoryview(records)[start + MESSAGE_HEAD.size : end]
         return Message(channel_id, log_time_ns, publish_time_ns, data)
+
+    def _advance(self, offset: int) -> None:
+        """Put the next message of an extent into the heap; close it after its last."""
+        extent, coming = self._open[offset]
+        entry = next(coming, None)
+        if entry:
+            log_time_ns, start, end = entry
+            heappush(self._next, (log_time_ns, offset, start, end))
+        else:
+            del self._open[offset]
+            self._cache.drop(extent)
 
 
 class _RecordsCache:

@@ -29,12 +29,14 @@ if TYPE_CHECKING:
     from lsnet.weights import Weights
 
 SMALLEST_PX = 32  # one cell
+ENLARGE_TO_PX = 384  # the size of training images; thin wires of much smaller images are lost otherwise
+MOST_SCALE = 4
 
 
 class Detector:
     """A network with its runtime, scale and threshold; a batch equals its singles."""
 
-    def __init__(self, weights: Weights, backend: Backend, scale: float, min_score: float) -> None:
+    def __init__(self, weights: Weights, backend: Backend, scale: float | None, min_score: float) -> None:
         self._weights, self._backend = weights, backend
         self._coder, self._merge_config = GridCoder(), MergeConfig()
         self._least_score = min(min_score, self._merge_config.min_segment_score)
@@ -51,15 +53,16 @@ class Detector:
     ) -> Detector:
         """A detector by the name or file of its weights.
 
-        scale: frames are resized by it before detection; min_score: least score of a segment that is
-        told. Both default to the weights' own. Raises LSNetError when the weights or the runtime cannot
-        be used or a number is out of range.
+        scale: frames are resized by it before detection; without one, in the weights neither, frames of
+        less than half the size of training images are enlarged by a whole number. min_score: least score
+        of a segment that is told, by default the weights' own. Raises LSNetError when the weights or the
+        runtime cannot be used or a number is out of range.
         """
         loaded = load_weights(weights)
         scale = loaded.card.scale if scale is None else scale
         min_score = loaded.card.min_score if min_score is None else min_score
-        if not 0.05 <= scale <= 4:
-            raise LSNetError(f"scale {scale:g} is out of range; give a factor from 0.05 to 4")
+        if scale is not None and not 0.05 <= scale <= MOST_SCALE:
+            raise LSNetError(f"scale {scale:g} is out of range; give a factor from 0.05 to {MOST_SCALE}")
         if not 0 <= min_score <= 1:
             raise LSNetError(f"minimum score {min_score:g} is out of range; give a number from 0 to 1")
         return cls(loaded, open_backend(loaded.net, runtime), scale, min_score)
@@ -72,7 +75,7 @@ class Detector:
             "preset": self._weights.card.preset,
             "backend": self._backend.name,
             "precision": self._backend.precision,
-            "scale": self.scale,
+            "scale": "auto" if self.scale is None else self.scale,
             "min_score": self.min_score,
         }
 
@@ -84,7 +87,7 @@ class Detector:
     def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
         """Detections of each uint8 (H, W, 3) RGB image, in its own pixels.
 
-        Raises ValueError for an array of another shape or type.
+        Raises ValueError for an array of another shape or type, or an empty one.
         """
         prepared = [self._prepare(image) for image in images]
         cut = [tiles_of(p.shape[0], p.shape[1]) for p in prepared]
@@ -98,11 +101,11 @@ class Detector:
 
     def _prepare(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Resized by the scale, borders repeated up to multiples of 16."""
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
             raise ValueError(f"images must be uint8 (H, W, 3), not {image.dtype} {image.shape}")
-        if self.scale != 1:
-            how = cv2.INTER_AREA if self.scale < 1 else cv2.INTER_LINEAR
-            height, width = self._scaled_size(image)
+        height, width = self._scaled_size(image)
+        if (height, width) != image.shape[:2]:
+            how = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_LINEAR
             image = np.asarray(cv2.resize(image, (width, height), interpolation=how), np.uint8)
         height, width = image.shape[:2]
         below = max(SMALLEST_PX - height, -height % STRIDE_PX)
@@ -110,7 +113,11 @@ class Detector:
         return np.pad(image, ((0, below), (0, right), (0, 0)), mode="edge")
 
     def _scaled_size(self, image: NDArray[np.uint8]) -> tuple[int, int]:
-        return max(1, round(image.shape[0] * self.scale)), max(1, round(image.shape[1] * self.scale))
+        height, width = image.shape[:2]
+        scale = self.scale
+        if scale is None:
+            scale = min(max(ENLARGE_TO_PX // max(min(height, width), 1), 1), MOST_SCALE)
+        return max(1, round(height * scale)), max(1, round(width * scale))
 
     def _decode(
         self,

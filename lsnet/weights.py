@@ -30,15 +30,15 @@ class WeightsCard:
     """What a weights file says of itself.
 
     min_score: the score threshold the weights were chosen with. scale: the factor by which frames are
-    resized before detection when the user does not say. recipe: how they were trained. metrics: what
-    was measured, by set.
+    resized before detection when the user does not say, None to enlarge small ones only. recipe: how
+    they were trained. metrics: what was measured, by set.
     """
 
     name: str
     preset: str
     network: LSNetConfig
     min_score: float
-    scale: float = 1.0
+    scale: float | None = None
     recipe: dict[str, Any] = field(default_factory=dict)
     metrics: dict[str, Any] = field(default_factory=dict)
     format: int = FORMAT

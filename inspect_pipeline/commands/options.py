@@ -35,7 +35,12 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 WeightsOption = Annotated[str, typer.Option(metavar="NAME|FILE", help="Weights by name or by file.")]
 ScaleOption = Annotated[
     float | None,
-    typer.Option(min=0.05, max=4.0, metavar="FACTOR", help="Size at which to look, 1 for that of the image."),
+    typer.Option(
+        min=0.05,
+        max=4.0,
+        metavar="FACTOR",
+        help="Look at images of this size; else only small ones are enlarged.",
+    ),
 ]
 MinScoreOption = Annotated[
     float | None,

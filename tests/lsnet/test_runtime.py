@@ -272,6 +272,20 @@ def test_a_loaded_detector_takes_what_its_weights_say(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("size", "scale"), [((96, 130), 4), ((140, 128), 3), ((192, 400), 2), ((193, 200), 1), ((400, 500), 1)]
+)
+def test_small_images_are_enlarged_unless_a_scale_is_asked_for(
+    tmp_path: Path, size: tuple[int, int], scale: int
+) -> None:
+    path, image = save_tiny(tmp_path / "w.safetensors"), photo(*size)
+    auto, told = (Detector.load(path, runtime="torch", scale=s, min_score=0.0) for s in (None, scale))
+    ours, theirs = (detector.detect([image])[0].segments for detector in (auto, told))
+    np.testing.assert_array_equal(ours.endpoints, theirs.endpoints)
+    assert ours.image_size == size
+    assert (auto.describe()["scale"], told.describe()["scale"]) == ("auto", scale)
+
+
+@pytest.mark.parametrize(
     "options",
     [{"scale": 0.0}, {"scale": 4.1}, {"scale": float("nan")}, {"min_score": -0.1}, {"min_score": 1.1}],
 )

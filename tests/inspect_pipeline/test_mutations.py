@@ -264,6 +264,23 @@ def test_decompression_bombs_take_no_memory(tmp_path: Path, compression: str, de
     assert time.monotonic() - started < MAX_SECONDS
 
 
+def test_a_message_of_absurd_length_takes_no_memory(tmp_path: Path) -> None:
+    """It is all there, in a file with a hole; what stands before it is read."""
+    path = make_recording(tmp_path / "a.mcap", shots(5), use_chunking=False, n_gps_per_shot=0)
+    recording = open_recording(path)
+    channel_id, length = recording.camera_channels[0].channel_id, 1 << 30
+    start = path.read_bytes()[: recording.layout.data_end]
+    head = struct.pack("<BQHIQQ", 5, length, channel_id, 0, factories.START_NS, factories.START_NS)
+    path.write_bytes(start + head)
+    with path.open("r+b") as file:
+        file.truncate(len(start) + 9 + length)
+    memory_before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    recording = open_recording(path)
+    assert len(list(iter_frames(recording))) == 5
+    assert "a message claims more than 256 MiB" in recording.losses[-1]
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_before_kb < 100 << 10
+
+
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_a_chunk_of_nothing_but_zeros_is_damage(tmp_path: Path, compression: str) -> None:
     zeros = bytes(1 << 20)

@@ -58,6 +58,38 @@ console.log(JSON.stringify(result));
 """
 
 
+WRITE_WITH_NODE = """
+import { open } from "node:fs/promises";
+import { McapWriter } from "@mcap/core";
+import { FileHandleWritable } from "@mcap/nodejs";
+
+const { path, options, messages } = JSON.parse(process.argv[2]);
+const file = await open(path, "w");
+const writer = new McapWriter({ writable: new FileHandleWritable(file), ...options });
+await writer.start({ profile: "", library: "test" });
+const schemaId = await writer.registerSchema({
+  name: "foxglove.CompressedImage", encoding: "jsonschema", data: new TextEncoder().encode("{}"),
+});
+const ids = {};
+let sequence = 0;
+for (const [topic, time, json] of messages) {
+  ids[topic] ??= await writer.registerChannel({
+    schemaId, topic, messageEncoding: "json", metadata: new Map(),
+  });
+  await writer.addMessage({
+    channelId: ids[topic], sequence: sequence++, logTime: BigInt(time), publishTime: BigInt(time),
+    data: new TextEncoder().encode(json),
+  });
+}
+await writer.addMetadata({ name: "mission", metadata: new Map([["line", "7"]]) });
+await writer.addAttachment({
+  name: "a.txt", mediaType: "text/plain", data: new Uint8Array([1, 2, 3]), logTime: 1n, createTime: 1n,
+});
+await writer.end();
+await file.close();
+"""
+
+
 @pytest.fixture(scope="module")
 def node_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if not (shutil.which("npm") and shutil.which("node")):
@@ -68,6 +100,7 @@ def node_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if install.returncode:
         pytest.skip("npm cannot install @mcap/core here")
     (folder / "read.mjs").write_text(READ_WITH_NODE)
+    (folder / "write.mjs").write_text(WRITE_WITH_NODE)
     return folder
 
 
@@ -111,6 +144,39 @@ def test_the_typescript_reader_agrees(node_folder: Path, tmp_path: Path) -> None
         assert int(by_node["count"]) == by_node["streamed"].get("Message", len(expected)) == len(expected)
         assert by_node["metadata"][-1] == "lsnet_pipe.run"
         assert by_node["done"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"chunkSize": 2000},
+        {"useChunks": False},
+        {"useChunkIndex": False, "useMessageIndex": False},
+        {"useStatistics": False, "repeatChannels": False, "repeatSchemas": False, "useSummaryOffsets": False},
+    ],
+)
+def test_what_typescript_writes_is_read_and_annotated(
+    node_folder: Path, tmp_path: Path, options: dict
+) -> None:
+    how, topics, path = factories.ENCODINGS["json"], (CAMERA, "/b/image"), tmp_path / "a.mcap"
+    messages = [
+        (topic, str(shot.log_time_ns), how.encode(shot.log_time_ns, "cam", image).decode())
+        for shot in shots(20)
+        for topic in topics
+        for image in [factories.encoded_picture(shot.number)]
+    ]
+    job = json.dumps({"path": str(path), "options": options, "messages": messages})
+    subprocess.run(["node", str(node_folder / "write.mjs"), job], check=True, timeout=60)
+    recording = open_recording(path, strict=True)
+    frames = list(iter_frames(recording))
+    assert [(f.topic, factories.number_of(f.image)) for f in frames] == [
+        (topic, i) for i in range(20) for topic in topics
+    ]
+    assert (recording.metadata, recording.n_attachments) == ({"mission": {"line": "7"}}, 1)
+    annotate(path, tmp_path / "b.mcap")
+    with (tmp_path / "b.mcap").open("rb") as file:
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == 40 + 2 * 40
 
 
 MEASURE = """

@@ -101,6 +101,11 @@ def test_the_summary_agrees_with_the_data(tmp_path: Path, name: str) -> None:
     assert statistics.channel_count == len(summary.channels)
     assert statistics.schema_count == len(summary.schemas)
     assert metadata[-1].name == "lsnet_pipe.run"
+    if name == "attachments and metadata":
+        assert [(a.name, a.media_type, a.data) for a in attachments] == [
+            ("notes.txt", "text/plain", b"a" * 5000)
+        ]
+        assert metadata[0].metadata == {"line": "7"}
     assert all(record.group_length for record in records if type(record).__name__ == "SummaryOffset")
     if name in {"unchunked", "unindexed", "no message index"}:
         assert summary.chunk_indexes == []

@@ -1,5 +1,7 @@
 """What lies in the inbox: recordings in folders, by glob or by name, and whether they are written to the end.
 
+The folder of a split rosbag2 is one recording.
+
 Nothing here opens a recording further than its last bytes, and nothing follows a link out of the inbox.
 """
 
@@ -13,7 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from inspect_pipeline.errors import InboxError
+from inspect_pipeline.errors import InboxError, RecordingError
+from inspect_pipeline.parts import find_parts, whole_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -24,7 +27,10 @@ _CUT_OFF_AFTER_S = 3600.0  # a recorder that is silent for so long has died
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A recording of the inbox as it was found: path absolute, size in bytes, mtime in ns since 1970."""
+    """A recording of the inbox as it was found: path absolute, size in bytes, mtime in ns since 1970.
+
+    Of a split one, path is its folder, size that of all parts, and mtime that of the last.
+    """
 
     path: Path
     size_bytes: int
@@ -33,14 +39,15 @@ class Candidate:
 
     @classmethod
     def at(cls, path: Path) -> Candidate | None:
-        """The recording at a path, None where there is no file (any more)."""
+        """The recording at a path, None where there is no file (any more), or not all parts of it."""
         try:
-            found = path.stat()
-        except OSError:
+            found = [part.stat() for part in _files_of(path)]
+        except (OSError, RecordingError):
             return None
-        if not stat.S_ISREG(found.st_mode):
+        if not found or not all(stat.S_ISREG(each.st_mode) for each in found):
             return None
-        return cls(path, found.st_size, found.st_mtime_ns, time.monotonic())
+        size_bytes, mtime_ns = sum(each.st_size for each in found), max(each.st_mtime_ns for each in found)
+        return cls(path, size_bytes, mtime_ns, time.monotonic())
 
     def is_written(self, settle_s: float) -> bool:
         """Whether nobody writes it any more: it has rested for `settle_s`, and ends as a recording does.
@@ -52,7 +59,7 @@ class Candidate:
             return False
         age_s = time.time() - self.mtime_ns / 1e9
         has_rested = age_s >= settle_s or time.monotonic() - self.seen_at >= settle_s
-        return has_rested and (_has_end(self.path) or age_s >= _CUT_OFF_AFTER_S)
+        return has_rested and (age_s >= _CUT_OFF_AFTER_S or all(map(_has_end, _files_of(self.path))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +79,7 @@ def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None 
     links_out = []
     for inbox in inboxes:
         for path, root in _paths_of(inbox, without):
-            if root is not None and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root)):
+            if root is not None and _leads_out(path, root):
                 links_out.append(path)
             elif (candidate := Candidate.at(path)) and candidate.mtime_ns >= since_ns:
                 candidates[path] = candidate
@@ -84,7 +91,7 @@ def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, Path | N
     """Paths with the folder they must not lead out of; None for a file that was named by hand."""
     path = Path(inbox).absolute()
     if path.is_dir():
-        yield from ((found, path) for found in _walk(path, without))
+        yield from ((whole_of(found), path) for found in _walk(path, without))
     elif path.exists():
         yield path, None
     elif glob.has_magic(inbox):
@@ -92,7 +99,7 @@ def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, Path | N
         for match in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207 - absolute
             found = Path(match)
             below = _walk(found, without) if found.is_dir() and not found.is_symlink() else [found]
-            yield from ((each, root) for each in below if _is_recording(each.name))
+            yield from ((whole_of(each), root) for each in below if _is_recording(each.name))
     else:
         raise InboxError(
             path, "there is no such folder or file", "check the name, and that its disk is mounted"
@@ -104,6 +111,19 @@ def _walk(folder: Path, without: Path | None) -> Iterator[Path]:
     for parent, names, files in os.walk(folder):
         names[:] = sorted(name for name in names if Path(parent, name) != without)
         yield from (Path(parent, name) for name in files if _is_recording(name))
+
+
+def _files_of(path: Path) -> list[Path]:
+    """The files of a recording: itself, or its parts. Raises OSError, RecordingError when one is absent."""
+    return find_parts(path) if path.is_dir() and (path / "metadata.yaml").is_file() else [path]
+
+
+def _leads_out(path: Path, root: Path) -> bool:
+    try:
+        files = [path, *_files_of(path)]
+    except (OSError, RecordingError):
+        files = [path]
+    return not all(Path(os.path.realpath(file)).is_relative_to(os.path.realpath(root)) for file in files)
 
 
 def _is_recording(name: str) -> bool:

@@ -16,7 +16,8 @@ from inspect_pipeline.attitude import to_enu
 from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import OutputError, RecordingError
 from inspect_pipeline.exif import PhotographTags, read_tags
-from inspect_pipeline.parts import find_parts, join_parts
+from inspect_pipeline.joining import join_parts
+from inspect_pipeline.parts import find_parts
 from inspect_pipeline.recording import open_recording
 from inspect_pipeline.srt import SubtitleBlock, parse_srt
 

@@ -1,8 +1,7 @@
-"""Split recordings: the parts of one flight in a folder, and how they become one file.
+"""Split recordings: the parts of one flight in a folder.
 
 Parts are the files that a rosbag2's metadata.yaml lists, or that differ by the number at the end of their
-names only (flight_0.mcap, flight_1.mcap, ...). A channel's number may differ from part to part, so messages
-are written anew; nothing in them changes.
+names only (flight_0.mcap, flight_1.mcap, ...).
 """
 
 from __future__ import annotations
@@ -10,16 +9,10 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.recording_frames import iter_channel_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
-
-    from inspect_pipeline.authoring import RecordingAuthor
-    from inspect_pipeline.recording import Recording
 
 _LISTED = re.compile(r"^\s*-\s*[\"']?(.+?\.mcap)[\"']?\s*$", re.MULTILINE)
 _NUMBERED = re.compile(r"(.*?)_?(\d+)")
@@ -30,12 +23,7 @@ def find_parts(folder: Path) -> list[Path]:
 
     Raises RecordingError when its files are not parts of one recording, or one of those listed is absent.
     """
-    index = folder / "metadata.yaml"
-    if index.is_file():
-        # Paths in old bags begin with the name of the bag.
-        listed = [
-            folder / name.rsplit("/", 1)[-1] for name in _LISTED.findall(index.read_text("utf-8", "replace"))
-        ]
+    if listed := _listed(folder):
         for part in listed:
             if not part.is_file():
                 raise RecordingError(part, "metadata.yaml lists it but it is absent", "copy the folder again")
@@ -47,32 +35,17 @@ def find_parts(folder: Path) -> list[Path]:
     return sorted(matches, key=lambda path: int(match[2]) if (match := matches[path]) else 0)
 
 
-def join_parts(parts: Sequence[Recording], target: Path) -> int:
-    """Write the messages, metadata and attachments of all parts to one recording, part by part.
-
-    Returns the number of messages; what cannot be read is in the losses of the parts. Raises RecordingError
-    when a part is an annotated copy, or anything is lost of a `strict` one, OSError when the target cannot be
-    written.
-    """
-    for part in parts:
-        if part.is_annotated_copy:
-            raise RecordingError(part.path, "it carries annotations already", "join what it is from")
-    with new_recording(target, profile=parts[0].profile) as author:
-        return sum(_append(author, part) for part in parts)
+def whole_of(path: Path) -> Path:
+    """The folder of the split rosbag2 that a file is a part of, else the file itself."""
+    try:
+        listed = _listed(path.parent)
+    except OSError:
+        return path
+    return path.parent if len(listed) > 1 and path in listed else path
 
 
-def _append(author: RecordingAuthor, part: Recording) -> int:
-    layout, n_messages = part.layout, 0
-    for message in iter_channel_messages(part, layout.channels.keys()):
-        channel = layout.channels[message.channel_id]
-        schema, times_ns = (
-            layout.schemas.get(channel.schema_id),
-            (message.log_time_ns, message.publish_time_ns),
-        )
-        author.copy_message(channel, schema, *times_ns, bytes(message.data))
-        n_messages += 1
-    for name, fields in part.metadata.items():
-        author.add_metadata(name, fields)
-    for attachment in part.iter_attachments():
-        author.add_attachment(attachment)
-    return n_messages
+def _listed(folder: Path) -> list[Path]:
+    """The files that a rosbag2's metadata.yaml lists; paths in old bags begin with the name of the bag."""
+    index = folder / "metadata.yaml"
+    names = _LISTED.findall(index.read_text("utf-8", "replace")) if index.is_file() else []
+    return [folder / name.rsplit("/", 1)[-1] for name in names]

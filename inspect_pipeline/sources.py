@@ -13,7 +13,8 @@ from urllib.request import url2pathname
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.flight import ANNOTATED
-from inspect_pipeline.parts import find_parts, join_parts
+from inspect_pipeline.joining import join_parts
+from inspect_pipeline.parts import find_parts
 from inspect_pipeline.recording import open_recording
 
 if TYPE_CHECKING:

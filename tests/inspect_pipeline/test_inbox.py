@@ -69,6 +69,37 @@ def test_what_is_not_there(inbox: Path) -> None:
         discover([str(inbox / "none")])
 
 
+def bag(folder: Path, *parts: str) -> Path:
+    folder.mkdir()
+    listed = "".join(f"  - {name}\n" for name in parts)
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}")
+    return folder
+
+
+def test_a_split_rosbag2_is_one_recording(inbox: Path, tmp_path: Path) -> None:
+    folder = bag(inbox / "bag", "b_0.mcap", "bag/b_1.mcap")
+    add(folder / "b_0.mcap", age_s=900)
+    assert found(inbox) == []  # a part of it is still to come
+    add(folder / "b_1.mcap", WHOLE * 3)
+    expected = [folder]
+    assert found(inbox) == found(folder) == found(f"{inbox}/*") == found(f"{inbox}/*/*.mcap") == expected
+    stray = add(folder / "stray.mcap", age_s=50)
+    assert found(inbox) == [folder, stray]
+    candidate = Candidate.at(folder)
+    assert candidate is not None
+    assert candidate.size_bytes == len(WHOLE) * 4
+    assert candidate.is_written(10)
+    add(folder / "b_1.mcap", WHOLE[:-1])
+    assert not candidate.is_written(10)
+    assert not Candidate.at(folder).is_written(10)
+    (folder / "b_0.mcap").unlink()
+    (folder / "b_0.mcap").symlink_to(add(tmp_path / "secret.mcap"))
+    assert discover([str(inbox)]).links_out == (folder, folder)
+    one = bag(inbox / "one", "o_0.mcap")
+    whole = add(one / "o_0.mcap")
+    assert found(one) == [whole]
+
+
 def test_links_out_of_the_inbox_are_left_alone(inbox: Path, tmp_path: Path) -> None:
     secret = add(tmp_path / "secret.mcap")
     (tmp_path / "elsewhere").mkdir()

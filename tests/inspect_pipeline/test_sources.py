@@ -10,8 +10,10 @@ import pytest
 from factories import CAMERA, START_NS, STEP_NS, make_recording, make_recording_with_rosbags, number_of, shots
 from fakes import FakeDetector
 from mcap.reader import make_reader
+from stubs import InlineExecutor, MakeStub
 
-from inspect_pipeline import index
+from inspect_pipeline import batch, index
+from inspect_pipeline.batch import BatchOptions, run_batch
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.overlay import draw_overlay
@@ -20,6 +22,7 @@ from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.sources import open_source
 from inspect_pipeline.store import Store
+from inspect_pipeline.worker import Job
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -99,6 +102,33 @@ def test_a_rosbag2_is_one_flight(tmp_path: Path, store: Store) -> None:
     (bag / "metadata.yaml").write_text(text.replace(f"- {path.name}\n", f"- {path.name}\n    - z.mcap\n", 1))
     result = run(bag, store)
     assert (result.status, result.n_frames) == ("ok", 8)
+
+
+def test_a_batch_takes_a_split_rosbag2_as_one(
+    tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batch, "LocalExecutor", InlineExecutor)
+    inbox = tmp_path / "inbox"
+    inbox.mkdir()
+    path = make_recording_with_rosbags(inbox / "bag", shots(4))
+    other = make_recording_with_rosbags(tmp_path / "more", shots(4, start_ns=START_NS + 4 * STEP_NS))
+    shutil.copy(other, inbox / "bag" / "z.mcap")
+    index_file = inbox / "bag" / "metadata.yaml"
+    index_file.write_text(
+        index_file.read_text().replace(f"- {path.name}\n", f"- {path.name}\n    - z.mcap\n", 1)
+    )
+    job = Job(store.root, ProcessOptions(), MakeStub(tmp_path))
+    for n_processed, n_skipped in ((1, 0), (0, 1)):
+        summary = run_batch(store, job, BatchOptions((str(inbox),), settle_s=0), lambda event, **fields: None)
+        counts = summary.counts
+        assert (summary.exit_code, counts.n_found, counts.n_processed, counts.n_skipped) == (
+            0,
+            1,
+            n_processed,
+            n_skipped,
+        )
+    (flight,), _ = store.scan()
+    assert (flight.record.totals.n_frames, flight.record.source_uri) == (8, (inbox / "bag").as_uri())
 
 
 def test_damage_of_a_part_names_it(flight: Path, store: Store) -> None:

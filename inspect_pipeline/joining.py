@@ -1,0 +1,50 @@
+"""The parts of a split recording made one file.
+
+A channel's number may differ from part to part, so messages are written anew; nothing in them changes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from inspect_pipeline.authoring import new_recording
+from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.recording_frames import iter_channel_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from inspect_pipeline.authoring import RecordingAuthor
+    from inspect_pipeline.recording import Recording
+
+
+def join_parts(parts: Sequence[Recording], target: Path) -> int:
+    """Write the messages, metadata and attachments of all parts to one recording, part by part.
+
+    Returns the number of messages; what cannot be read is in the losses of the parts. Raises RecordingError
+    when a part is an annotated copy, or anything is lost of a `strict` one, OSError when the target cannot be
+    written.
+    """
+    for part in parts:
+        if part.is_annotated_copy:
+            raise RecordingError(part.path, "it carries annotations already", "join what it is from")
+    with new_recording(target, profile=parts[0].profile) as author:
+        return sum(_append(author, part) for part in parts)
+
+
+def _append(author: RecordingAuthor, part: Recording) -> int:
+    layout, n_messages = part.layout, 0
+    for message in iter_channel_messages(part, layout.channels.keys()):
+        channel = layout.channels[message.channel_id]
+        schema, times_ns = (
+            layout.schemas.get(channel.schema_id),
+            (message.log_time_ns, message.publish_time_ns),
+        )
+        author.copy_message(channel, schema, *times_ns, bytes(message.data))
+        n_messages += 1
+    for name, fields in part.metadata.items():
+        author.add_metadata(name, fields)
+    for attachment in part.iter_attachments():
+        author.add_attachment(attachment)
+    return n_messages

@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING
+from urllib.parse import unquote_to_bytes, urlsplit
 
 import duckdb
 import pytest
@@ -179,6 +180,37 @@ def test_an_annotated_copy_is_skipped_without_being_read_again(night: Night) -> 
     assert night.counts(night.run(settle_s=0)) == {"found": 1, "skipped": 1}
     assert night.counts(night.run(settle_s=0)) == {"found": 1, "skipped": 1}
     assert "recording done" not in [event for event, _ in night.events]
+
+
+def test_odd_names_are_only_names_and_links_out_stay_unread(night: Night) -> None:
+    names = [
+        b"\xff\xfe",
+        b"-rf",
+        b"a\nb'; DROP TABLE flights; --",
+        b"$(touch owned) `x` %s {0} 50%",
+        b"x" * 250,
+    ]
+    for i, name in enumerate(names):
+        night.add("new", i).rename(night.inbox / f"{os.fsdecode(name)}.MCAP")
+    (night.inbox / "sub\u202efolder").mkdir()
+    night.add("new", 9).rename(night.inbox / "sub\u202efolder" / ".mcap.mcap")
+    bad = night.inbox / os.fsdecode(b"bad\xff\x1b[2J.mcap")
+    night.add("new", RAISE).rename(bad)
+    outside = make_recording(night.inbox.parent / "secret.mcap", shots(1))
+    (night.inbox / "link.mcap").symlink_to(outside)
+    (night.inbox / "dangling.mcap").symlink_to("/nowhere")
+    summary = night.run()
+    assert night.counts(summary) == {"found": 7, "processed": 6, "quarantined": 1}
+    assert ("link out of the inbox left alone", {"path": str(night.inbox / "link.mcap")}) in night.events
+    assert [note.path for note in Quarantine(night.store).notes()] == [str(bad)]
+    assert night.counts(night.run()) == {"found": 7, "skipped": 6, "in_quarantine": 1}
+    with duckdb.connect(night.store.index_path, read_only=True) as connection:
+        uris = [uri for (uri,) in connection.execute("SELECT source_uri FROM flights").fetchall()]
+    stored = {unquote_to_bytes(urlsplit(uri).path) for uri in uris}
+    assert stored == {os.fsencode(p) for p in night.inbox.rglob("*") if p.is_file()} - {
+        os.fsencode(bad),
+        os.fsencode(night.inbox / "link.mcap"),
+    }
 
 
 def test_hostile_topic_names_are_only_names(night: Night) -> None:

@@ -76,11 +76,11 @@ def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None 
     Nothing below the folder `without` is looked at. Raises InboxError for a folder or file that is not there.
     """
     candidates: dict[Path, Candidate] = {}
-    links_out = []
+    links_out: dict[Path, None] = {}
     for inbox in inboxes:
         for path, root in _paths_of(inbox, without):
             if root is not None and _leads_out(path, root):
-                links_out.append(path)
+                links_out[path] = None
             elif (candidate := Candidate.at(path)) and candidate.mtime_ns >= since_ns:
                 candidates[path] = candidate
     ordered = sorted(candidates.values(), key=lambda found: (found.mtime_ns, os.fsencode(found.path)))

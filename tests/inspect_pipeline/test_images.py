@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import json
+from io import BytesIO
+from typing import Any
 
 import cv2
 import factories
 import numpy as np
 import pytest
 from factories import ENCODINGS, RAW_ENCODINGS, RawPixels, encoded_picture, make_recording, number_of, picture
+from PIL import Image
 
 from inspect_pipeline.images import ImageError, ImageMessage, decode, is_image, parse, refusal
 from inspect_pipeline.recording import open_recording
@@ -71,6 +74,18 @@ def test_the_first_bytes_tell_the_codec_and_colours_are_rgb(suffix: str) -> None
     np.testing.assert_array_equal(decode(message(data, "nonsense")), picture(9))
 
 
+@pytest.mark.parametrize(
+    ("mode", "options"), [("RGB", {}), ("RGB", {"subsampling": 0, "progressive": True}), ("L", {})]
+)
+def test_jpegs_are_what_pillow_decodes(mode: str, options: dict[str, Any]) -> None:
+    x, y = np.meshgrid(np.linspace(0, 1, 96), np.linspace(0, 1, 64))
+    scene = np.stack([255 * x, 255 * y, 128 + 100 * np.sin(9 * (x + y))], -1).astype(np.uint8)
+    file = BytesIO()
+    Image.fromarray(scene).convert(mode).save(file, "JPEG", quality=85, **options)
+    expected = np.asarray(Image.open(BytesIO(file.getvalue())).convert("RGB"), np.int16)
+    assert np.abs(decode(message(file.getvalue())) - expected).max() <= 3
+
+
 def test_grey_and_16_bit_images_become_rgb() -> None:
     grey = picture(9)[..., 2]
     data = cv2.imencode(".png", grey.astype(np.uint16) * 257)[1].tobytes()
@@ -126,6 +141,7 @@ def test_pixel_encodings_without_loss(padding: int, is_big_endian: bool) -> None
         "8UC3": (rgb[..., ::-1], rgb),
         "rgba8": (np.concatenate([rgb, alpha], -1), rgb),
         "bgra8": (np.concatenate([rgb[..., ::-1], alpha], -1), rgb),
+        "8UC4": (np.concatenate([rgb[..., ::-1], alpha], -1), rgb),
         "mono8": (grey, np.dstack([grey] * 3)),
         "8UC1": (grey, np.dstack([grey] * 3)),
         "mono16": (grey.astype(np.uint16) * 256 + 200, np.dstack([grey] * 3)),

@@ -5,18 +5,21 @@
         track_ids = tracker.update(moment, chords, scores, motion)     # one for each line
     tracks = tracker.finish()                                          # the ones that were confirmed
 
-A line is its direction and its offset from the middle of the image (theta and rho), and how far it extends. A
-track moves on at the speed it had, after the camera's own turn is undone; predictions and lines are matched
-by the Hungarian algorithm. A track that finds no line coasts for a while before it ends.
+A line is its direction and its distance aside (theta and rho), and how far it extends. A Kalman filter says
+where each track is expected, after the camera's own turn is undone; expectations and lines are matched by the
+Hungarian algorithm. A track that finds no line coasts for a while before it ends.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+
+from inspect_pipeline.tracks_filter import Measured, Pace
+from inspect_pipeline.tracks_lines import FrameLines, continues, half_turned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,17 +27,14 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Scores = NDArray[np.floating]
 
-_DISTANCE_SHARE = 20 / 1280  # of the image's longer side: one unit of cost,
-_ANGLE_RAD = np.radians(5)  # as is this,
-_GAP_SHARE = 200 / 1280  # and this, between the ends of a line and of the track
-_GATE = 3.0
-_PIECE_GATE = 1.0  # for further pieces of a line that is found already
-_OVERLAP_SHARE = 0.2  # of a piece, at most, lies beside the other pieces
-_POSITION_GAIN, _SPEED_GAIN = 0.6, 0.3  # of what a line differs from the prediction
+# As a share of the longer side of the image, or in rad, a second: how fast lines may drift.
+_ASIDE_SPEED, _ANGLE_SPEED = 90 / 1280, float(np.radians(5))
+_GAP_SHARE = 100 / 1280  # between the ends of a line and of the track, as bad as a standard deviation
+_GATE = 8.0  # squared standard deviations
+_PIECE_GATE = 6.0  # for further pieces of a line that is found already
 _CONFIRMED_FRAMES = 3
 _COAST_FRAMES, _TENTATIVE_COAST_FRAMES = 10, 1
 _COAST_S = 5.0
-_FORESIGHT_S = 1.0  # no speed is trusted for longer
 
 
 class Moment(NamedTuple):
@@ -63,22 +63,72 @@ class TrackRow:
 
 @dataclass(slots=True)
 class _Track:
-    """State: angle (rad, unwrapped) and offset (px) of the line, their speeds, extent along it (px)."""
+    """A line as it is expected: through `middle` (px from that of the image), `half_px` to either side."""
 
     track_id: int
-    state: Floats  # angle, offset
-    speed: Floats
-    extent: tuple[float, float]
+    angle: Measured  # rad, unwrapped
+    aside: Measured  # px off the middle, moved into it at once
+    middle: Floats
+    half_px: float
     first: Moment
     last: Moment
+    sums: Floats  # of score, angle, offset from the middle of the image
     n_frames: int = 1
     n_missed: int = 0  # since it was last found
     n_coasted: int = 0
-    sums: Floats = field(default_factory=lambda: np.zeros(3))  # of score, angle, offset
 
     @property
     def is_confirmed(self) -> bool:
         return self.n_frames >= _CONFIRMED_FRAMES
+
+    @property
+    def direction(self) -> Floats:
+        return np.array([np.cos(self.angle.value), np.sin(self.angle.value)])
+
+    def move_aside(self) -> None:
+        x, y = self.direction
+        self.middle = self.middle + self.aside.value * np.array([-y, x])
+        self.aside.value = 0.0
+
+    def go_on(self, pace: Pace) -> None:
+        self.angle.go_on(pace)
+        self.aside.go_on(pace)
+        self.move_aside()
+
+    def turn(self, motion: Floats, image_size: tuple[int, int]) -> None:
+        """Go where the camera's turn moves the pixels of the line; what is turned out of sight stays."""
+        height, width = image_size
+        ends = self.middle + np.outer((-self.half_px, self.half_px), self.direction) + (width / 2, height / 2)
+        moved = np.column_stack((ends, np.ones(2))) @ motion.T
+        if moved[:, 2].min() < 0.1:
+            return
+        first, last = moved[:, :2] / moved[:, 2:] - (width / 2, height / 2)
+        x, y = last - first
+        self.angle.value += float(half_turned(np.arctan2(y, x) - self.angle.value))
+        self.middle, self.half_px = (first + last) / 2, float(np.hypot(x, y)) / 2
+
+    def correct(self, moment: Moment, line: FrameLines, score: float) -> None:
+        """Draw it towards the one line that was found."""
+        turn = float(half_turned(line.angles[0] - self.angle.value))
+        angle_var, aside_var = line.noise[0].tolist()
+        x, y = self.direction
+        away = line.middles[0] - self.middle
+        along_px = float(away @ (x, y))
+        # An error of the angle shifts the line at a distance along it.
+        aside_px, shift_var = float(away @ (-y, x)), along_px**2 * self.angle.value_var
+        self.angle.correct(turn, angle_var)
+        self.aside.correct(aside_px, aside_var + shift_var)
+        self.move_aside()
+        self.middle, self.half_px = self.middle + along_px * self.direction, float(line.halves[0])
+        self.n_coasted += self.n_missed
+        self.n_missed = 0
+        self.n_frames += 1
+        self.last = moment
+        self.sums += (score, self.angle.value, self._offset_px())
+
+    def _offset_px(self) -> float:
+        x, y = self.direction
+        return float(self.middle @ (-y, x))
 
     def has_ended(self, time_ns: int) -> bool:
         coast_frames = _COAST_FRAMES if self.is_confirmed else _TENTATIVE_COAST_FRAMES
@@ -120,16 +170,16 @@ class LineTracker:
         `finish` does not name belong to none.
         """
         self._advance(moment, motion)
-        lines = _Lines.of(chords, moment.image_size)
+        lines = FrameLines.of(chords, moment.image_size)
         track_ids = np.full(len(chords), -1, np.int32)
-        found = self._match(lines, moment.image_size)
-        for track in self._tracks:
-            pieces = found.get(track.track_id)
+        found = _match(self._tracks, lines, max(moment.image_size))
+        for number, track in enumerate(self._tracks):
+            pieces = found.get(number)
             if pieces is None:
                 track.n_missed += 1
             else:
                 track_ids[pieces] = track.track_id
-                _correct(track, moment, lines, pieces, float(scores[pieces].max()))
+                track.correct(moment, lines.joined(pieces, track.direction), float(scores[pieces].max()))
         for i in np.flatnonzero(track_ids < 0).tolist():
             track_ids[i] = self._begin(moment, lines, i, float(scores[i]))
         self._end_lost(moment.time_ns)
@@ -145,39 +195,23 @@ class LineTracker:
         """Move all tracks to where they are expected now."""
         elapsed_s = (moment.time_ns - self._time_ns) / 1e9 if self._time_ns is not None else 0.0
         self._time_ns = moment.time_ns
+        pace = Pace.of(max(elapsed_s, 0.0))
         for track in self._tracks:
             if motion is not None:
-                _turn(track, motion, moment.image_size)
-            unseen_s = (moment.time_ns - track.last.time_ns) / 1e9 - elapsed_s
-            trusted_s = min(elapsed_s, max(0.0, _FORESIGHT_S - unseen_s))
-            track.state = track.state + trusted_s * track.speed
+                track.turn(motion, moment.image_size)
+            track.go_on(pace)
 
-    def _match(self, lines: _Lines, image_size: tuple[int, int]) -> dict[int, NDArray[np.int64]]:
-        """The lines of each track that is found, by its id."""
-        if not self._tracks or not len(lines.angles):
-            return {}
-        costs = _costs(self._tracks, lines, image_size)
-        # A line that is left alone costs as much as the worst that is allowed.
-        padded = np.hstack((np.minimum(costs, 2 * _GATE), np.full((len(costs), len(costs)), _GATE)))
-        rows, columns = linear_sum_assignment(padded)
-        found = {
-            row: [column]
-            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
-            if column < costs.shape[1] and costs[row, column] < _GATE
-        }
-        _add_pieces(found, costs, lines, self._tracks)
-        return {self._tracks[row].track_id: np.array(pieces) for row, pieces in found.items()}
-
-    def _begin(self, moment: Moment, lines: _Lines, i: int, score: float) -> int:
-        state = np.array([lines.angles[i], lines.offset(i)])
+    def _begin(self, moment: Moment, lines: FrameLines, i: int, score: float) -> int:
+        angle, (angle_var, aside_var) = float(lines.angles[i]), lines.noise[i].tolist()
         track = _Track(
             track_id=self._next_id,
-            state=state,
-            speed=np.zeros(2),
-            extent=lines.extent(np.array([i]), state[0]),
+            angle=Measured(angle, angle_var, _ANGLE_SPEED),
+            aside=Measured(0.0, aside_var, _ASIDE_SPEED * max(moment.image_size)),
+            middle=lines.middles[i],
+            half_px=float(lines.halves[i]),
             first=moment,
             last=moment,
-            sums=np.array([score, *state]),
+            sums=np.array([score, angle, lines.middles[i] @ (-np.sin(angle), np.cos(angle))]),
         )
         self._tracks.append(track)
         self._next_id += 1
@@ -189,117 +223,48 @@ class LineTracker:
         self._tracks = [track for track in self._tracks if not track.has_ended(time_ns)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lines:
-    """The lines of a frame: ends (N, 2, 2) px from the middle of the image, angles (N,) of their chords."""
-
-    ends: Floats
-    angles: Floats
-
-    @classmethod
-    def of(cls, chords: Floats, image_size: tuple[int, int]) -> _Lines:
-        height, width = image_size
-        ends = np.asarray(chords, np.float64).reshape(-1, 2, 2) - (width / 2, height / 2)
-        along = ends[:, 1] - ends[:, 0]
-        return cls(ends, np.arctan2(along[:, 1], along[:, 0]))
-
-    @property
-    def middles(self) -> Floats:
-        middles: Floats = self.ends.mean(axis=1)
-        return middles
-
-    def offset(self, i: int) -> float:
-        return float(self.middles[i] @ _normal(self.angles[i]))
-
-    def extent(self, pieces: NDArray[np.int64], angle: float) -> tuple[float, float]:
-        """From where to where pieces of a line lie along a direction."""
-        along = self.ends[pieces].reshape(-1, 2) @ (np.cos(angle), np.sin(angle))
-        return float(along.min()), float(along.max())
+def _match(tracks: list[_Track], lines: FrameLines, longer_px: int) -> dict[int, list[int]]:
+    """The lines of each track that is found, by its number in the list."""
+    if not tracks or not len(lines.angles):
+        return {}
+    costs = _costs(tracks, lines, longer_px)
+    # A track without a line costs as much as the worst line that it may take.
+    padded = np.hstack((np.minimum(costs, 2 * _GATE), np.full((len(costs), len(costs)), _GATE)))
+    rows, columns = linear_sum_assignment(padded)
+    found = {
+        row: [column]
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+        if column < costs.shape[1] and costs[row, column] < _GATE
+    }
+    _add_pieces(found, costs, lines, tracks)
+    return found
 
 
-def _normal(angle: float) -> Floats:
-    return np.array([-np.sin(angle), np.cos(angle)])
-
-
-def _costs(tracks: list[_Track], lines: _Lines, image_size: tuple[int, int]) -> Floats:
-    """(T, N): how far each line is from where each track is expected, in units of the gate."""
-    longer_px = max(image_size)
-    angles, offsets = np.array([track.state for track in tracks]).T
-    extents = np.array([track.extent for track in tracks])
-    direction = np.column_stack((np.cos(angles), np.sin(angles)))
-    normal = np.column_stack((-direction[:, 1], direction[:, 0]))
-    distances = normal @ lines.middles.T - offsets[:, np.newaxis]
-    turns = _half_turned(lines.angles[np.newaxis] - angles[:, np.newaxis])
-    along = np.einsum("ti,nei->tne", direction, lines.ends)
-    lows, highs = along.min(axis=2), along.max(axis=2)
-    gaps = np.maximum(0, np.maximum(lows - extents[:, 1:], extents[:, :1] - highs))
-    costs: Floats = np.sqrt(
-        (distances / (_DISTANCE_SHARE * longer_px)) ** 2
-        + (turns / _ANGLE_RAD) ** 2
+def _costs(tracks: list[_Track], lines: FrameLines, longer_px: int) -> Floats:
+    """(T, N): how far each line is from what each track expects, in squared standard deviations."""
+    angles, angle_vars, aside_vars, halves = np.array(
+        [(t.angle.value, t.angle.value_var, t.aside.value_var, t.half_px) for t in tracks]
+    ).T[..., np.newaxis]
+    away = lines.middles - np.array([track.middle for track in tracks])[:, np.newaxis]
+    cosine, sine = np.cos(angles), np.sin(angles)
+    along, aside = away[..., 0] * cosine + away[..., 1] * sine, away[..., 1] * cosine - away[..., 0] * sine
+    turns = half_turned(lines.angles - angles)
+    gaps = np.maximum(0, np.abs(along) - halves - lines.halves * np.abs(np.cos(turns)))
+    costs: Floats = (
+        aside**2 / (aside_vars + lines.noise[:, 1] + along**2 * angle_vars)
+        + turns**2 / (angle_vars + lines.noise[:, 0])
         + (gaps / (_GAP_SHARE * longer_px)) ** 2
     )
     return costs
 
 
-def _half_turned(angles: Floats) -> Floats:
-    """The same directions of lines, within -pi/2 <= angle < pi/2."""
-    turned: Floats = (angles + np.pi / 2) % np.pi - np.pi / 2
-    return turned
-
-
-def _add_pieces(found: dict[int, list[int]], costs: Floats, lines: _Lines, tracks: list[_Track]) -> None:
+def _add_pieces(found: dict[int, list[int]], costs: Floats, lines: FrameLines, tracks: list[_Track]) -> None:
     """Give lines that no track has to tracks that they continue, nearest first."""
     taken = {piece for pieces in found.values() for piece in pieces}
     for i in range(costs.shape[1]):
-        if i in taken:
-            continue
-        for row in np.argsort(costs[:, i]).tolist():
+        for row in np.argsort(costs[:, i]).tolist() if i not in taken else ():
             if costs[row, i] > _PIECE_GATE:
                 break
-            if row in found and _continues(lines, found[row], i, tracks[row].state[0]):
+            if row in found and continues(lines.ends @ tracks[row].direction, found[row], i):
                 found[row].append(i)
                 break
-
-
-def _continues(lines: _Lines, pieces: list[int], i: int, angle: float) -> bool:
-    """Whether a line lies before, behind or between the pieces instead of beside them."""
-    low, high = lines.extent(np.array([i]), angle)
-    others = [lines.extent(np.array([piece]), angle) for piece in pieces]
-    beside_px = sum(max(0.0, min(high, end) - max(low, start)) for start, end in others)
-    return beside_px <= _OVERLAP_SHARE * (high - low)
-
-
-def _correct(track: _Track, moment: Moment, lines: _Lines, pieces: NDArray[np.int64], score: float) -> None:
-    """Draw a track towards the line that was found."""
-    ends = lines.ends[pieces].reshape(-1, 2)
-    along = ends @ (np.cos(track.state[0]), np.sin(track.state[0]))
-    first, last = ends[along.argmin()], ends[along.argmax()]
-    turn = float(_half_turned(np.arctan2(*(last - first)[::-1]) - track.state[0]))
-    angle = track.state[0] + turn
-    difference = np.array([turn, (first + last) / 2 @ _normal(angle) - track.state[1]])
-    elapsed_s = max((moment.time_ns - track.last.time_ns) / 1e9, 1e-3)
-    is_second = track.n_frames == 1
-    track.state = track.state + (1.0 if is_second else _POSITION_GAIN) * difference
-    track.speed = track.speed + (1.0 if is_second else _SPEED_GAIN) * difference / elapsed_s
-    track.extent = lines.extent(pieces, float(track.state[0]))
-    track.n_coasted += track.n_missed
-    track.n_missed = 0
-    track.n_frames += 1
-    track.last = moment
-    track.sums += (score, *track.state)
-
-
-def _turn(track: _Track, motion: Floats, image_size: tuple[int, int]) -> None:
-    """Move a track's line as the camera's turn moves its pixels; what is turned out of sight stays."""
-    height, width = image_size
-    angle, offset = track.state
-    direction = np.array([np.cos(angle), np.sin(angle)])
-    ends = offset * _normal(angle) + np.outer(track.extent, direction) + (width / 2, height / 2)
-    moved = np.column_stack((ends, np.ones(2))) @ motion.T
-    if np.any(moved[:, 2] < 0.1):
-        return
-    first, last = moved[:, :2] / moved[:, 2:] - (width / 2, height / 2)
-    turn = float(_half_turned(np.arctan2(*(last - first)[::-1]) - angle))
-    track.state = np.array([angle + turn, (first + last) / 2 @ _normal(angle + turn)])
-    along = np.array([first, last]) @ (np.cos(angle + turn), np.sin(angle + turn))
-    track.extent = (float(along.min()), float(along.max()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import astuple
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -10,12 +11,15 @@ import duckdb
 import numpy as np
 import pytest
 from flights import START_NS, flight_id_of
+from hypothesis import given
+from hypothesis import strategies as st
 
 from inspect_pipeline.attitude import YawPitchRoll
 from inspect_pipeline.geo import pixel_motion
 from inspect_pipeline.placing import FramePlace
 from inspect_pipeline.tables import FlightWriter
 from inspect_pipeline.tracks import LineTracker, Moment
+from inspect_pipeline.tracks_filter import Measured, Pace
 from inspect_pipeline.types import Frame
 from lsnet.segments import Detections, Lines, Segments
 
@@ -132,6 +136,34 @@ def test_the_turn_of_the_camera_is_undone() -> None:
 def test_a_flight_without_lines_has_no_tracks() -> None:
     ids, tracker = run([[], [], []])
     assert (ids, tracker.finish()) == ([[], [], []], [])
+
+
+@given(st.floats(0.01, 3), st.floats(0.01, 3), st.floats(-5, 5), st.floats(-5, 5))
+def test_waiting_twice_is_waiting_once(first_s: float, second_s: float, value: float, speed: float) -> None:
+    twice, once = Measured(value, 0.3, 2.0, speed, 0.1), Measured(value, 0.3, 2.0, speed, 0.1)
+    twice.go_on(Pace.of(first_s))
+    twice.go_on(Pace.of(second_s))
+    once.go_on(Pace.of(first_s + second_s))
+    assert astuple(twice) == pytest.approx(astuple(once))
+
+
+@given(st.floats(0.1, 5), st.floats(0.1, 5), st.floats(-0.9, 0.9), st.floats(0.1, 5), st.floats(-9, 9))
+def test_a_correction_is_that_of_the_textbook(
+    value_var: float, speed_var: float, correlation: float, noise_var: float, difference: float
+) -> None:
+    """x + K y and (I - K H) P, in matrices."""
+    both_var = correlation * np.sqrt(value_var * speed_var)
+    measured = Measured(1.0, value_var, 1.0, 2.0, both_var)
+    measured.speed_var = speed_var
+    covariance = np.array([[value_var, both_var], [both_var, speed_var]])
+    seen = np.array([[1.0, 0.0]])
+    gain = covariance @ seen.T / (seen @ covariance @ seen.T + noise_var)
+    state = np.array([[1.0], [2.0]]) + gain * difference
+    covariance = (np.eye(2) - gain @ seen) @ covariance
+    measured.correct(difference, noise_var)
+    assert (measured.value, measured.speed) == pytest.approx(tuple(state.ravel()))
+    found = (measured.value_var, measured.both_var, measured.speed_var)
+    assert found == pytest.approx((covariance[0, 0], covariance[0, 1], covariance[1, 1]))
 
 
 def test_tracks_are_written_with_the_rows(tmp_path: Path) -> None:

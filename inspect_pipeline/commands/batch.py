@@ -10,11 +10,14 @@ import typer
 
 from inspect_pipeline.commands.batch_log import LogFormat, open_log, printable
 from inspect_pipeline.commands.options import (
+    GroundAltOption,
     MinScoreOption,
     ScaleOption,
     SchemaOption,
     StoreOption,
+    ViewOption,
     WeightsOption,
+    WireOption,
     WriteOption,
     parse_time_ns,
 )
@@ -70,6 +73,9 @@ def batch(
     ] = False,
     write: WriteOption = "copy",
     schema: SchemaOption = "protobuf",
+    ground_alt: GroundAltOption = None,
+    view: ViewOption = None,
+    wire: WireOption = 22.0,
     weights: WeightsOption = "fast",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
@@ -96,13 +102,18 @@ def batch(
     Example: lsnet-pipe batch /data/inbox --store /data/inspections --tag line=L12
     """
     from inspect_pipeline.batch import BatchOptions
-    from inspect_pipeline.config import ProcessOptions
+    from inspect_pipeline.config import PlacingOptions, ProcessOptions
     from inspect_pipeline.store import Store, store_path
     from inspect_pipeline.worker import Job, LoadDetector
 
     the_store = Store(store_path(store))
     process_options = ProcessOptions(
-        tuple(topic) if topic else None, every, strict=strict, write=write, schema=schema
+        tuple(topic) if topic else None,
+        every,
+        strict=strict,
+        write=write,
+        schema=schema,
+        placing=PlacingOptions(ground_alt, view, wire / 1000),
     )
     job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score))
     options = BatchOptions(

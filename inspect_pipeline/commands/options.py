@@ -53,4 +53,26 @@ WriteOption = Annotated[
 SchemaOption = Annotated[
     SchemaName, typer.Option(help="Of the annotations: protobuf, or ROS 2 messages for those who play bags.")
 ]
+GroundAltOption = Annotated[
+    float | None,
+    typer.Option(
+        "--ground-alt",
+        metavar="METRES",
+        help="Altitude of the ground as the positions count it; else as the recording says.",
+    ),
+]
+ViewOption = Annotated[
+    float | None,
+    typer.Option(
+        "--view",
+        min=1.0,
+        max=179.0,
+        metavar="DEGREES",
+        help="From left to right of an image, for cameras without calibration.",
+    ),
+]
+WireOption = Annotated[
+    float,
+    typer.Option("--wire", min=0.1, metavar="MM", help="Diameter of a conductor, whose width is told."),
+]
 RuntimeOption = Annotated[str, typer.Option(metavar="NAME", help="auto, torch or openvino.")]

@@ -11,12 +11,15 @@ import typer
 
 from inspect_pipeline.commands.batch_log import printable
 from inspect_pipeline.commands.options import (
+    GroundAltOption,
     JsonOption,
     MinScoreOption,
     ScaleOption,
     SchemaOption,
     StoreOption,
+    ViewOption,
     WeightsOption,
+    WireOption,
     WriteOption,
     parse_time_ns,
 )
@@ -53,6 +56,9 @@ def process(
     write: WriteOption = "copy",
     schema: SchemaOption = "protobuf",
     force: Annotated[bool, typer.Option("--force", help="Process again what is in the store.")] = False,
+    ground_alt: GroundAltOption = None,
+    view: ViewOption = None,
+    wire: WireOption = 22.0,
     weights: WeightsOption = "fast",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
@@ -70,7 +76,15 @@ def process(
     from lsnet import Detector
 
     options = config.ProcessOptions(
-        tuple(topic) if topic else None, every, start, end, strict, force, write=write, schema=schema
+        tuple(topic) if topic else None,
+        every,
+        start,
+        end,
+        strict,
+        force,
+        write=write,
+        schema=schema,
+        placing=config.PlacingOptions(ground_alt, view, wire / 1000),
     )
     the_store = Store(store_path(store))
     detector = Detector.load(weights, scale=scale, min_score=min_score)

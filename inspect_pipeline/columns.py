@@ -42,11 +42,12 @@ NULLABLE_FLOATS = tuple(name for name, dtype in _FRAME_DTYPES.items() if dtype i
 
 
 class FoundSegments(NamedTuple):
-    """The segments of a frame."""
+    """The segments of a frame, and the line of each (N,), -1 for none."""
 
     channel_id: int
     frame_idx: int
     segments: Segments
+    line_of: NDArray[np.int32]
 
 
 class FoundLines(NamedTuple):
@@ -84,6 +85,7 @@ def segment_columns(batches: Sequence[FoundSegments]) -> Columns:
         **_chord_columns(endpoints),
         "length_px": np.hypot(endpoints[:, 2] - endpoints[:, 0], endpoints[:, 3] - endpoints[:, 1]),
         "score": np.concatenate([batch.segments.scores for batch in batches]),
+        "line_idx": np.concatenate([batch.line_of for batch in batches]),
     }
 
 

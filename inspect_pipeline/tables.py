@@ -12,6 +12,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Self
 
 import duckdb
+import numpy as np
 
 from inspect_pipeline.columns import (
     NULLABLE_FLOATS,
@@ -54,7 +55,10 @@ SELECT $flight_id AS flight_id,
        if(reason IS NULL, 'ok', 'bad') AS status
 FROM frame_rows
 """
-_INSERT_SEGMENTS = "INSERT INTO segments BY NAME SELECT $flight_id AS flight_id, * FROM segment_rows"
+_INSERT_SEGMENTS = """
+INSERT INTO segments BY NAME
+SELECT $flight_id AS flight_id, * REPLACE (if(line_idx < 0, NULL, line_idx) AS line_idx) FROM segment_rows
+"""
 _INSERT_LINES = """
 INSERT INTO lines BY NAME
 SELECT $flight_id AS flight_id, l.* EXCLUDE (row_idx), p.points
@@ -158,7 +162,9 @@ class FlightWriter:
         self._frames.append((*identity, *times, width, height, frame.error, *measures, n_segments, n_lines))
         self._places.append(place)
         if detections and n_segments:
-            self._segments.append(FoundSegments(*identity, detections.segments))
+            line_of = detections.line_of
+            line_of = np.full(n_segments, -1, np.int32) if line_of is None else line_of
+            self._segments.append(FoundSegments(*identity, detections.segments, line_of))
         if detections:
             track_ids = self._tracker.follow(frame, detections.lines, place)
             if n_lines:

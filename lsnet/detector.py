@@ -13,7 +13,7 @@ import numpy as np
 from lsnet.errors import LSNetError
 from lsnet.geometry import clip_to_boxes
 from lsnet.grid import GridCoder
-from lsnet.merge import MergeConfig, merge
+from lsnet.merge import MergeConfig, merge_with_owners
 from lsnet.runtime import open_backend
 from lsnet.segments import Detections, Segments
 from lsnet.tiles import STRIDE_PX, join, tiles_of
@@ -133,9 +133,11 @@ class Detector:
         scaled_size = self._scaled_size(image)
         raw = self._coder.decode(*maps, (prepared.shape[0], prepared.shape[1]), self._least_score)
         clipped = _clipped(raw, scaled_size)
-        lines = merge(clipped, self._merge_config).above(self.min_score)
-        segments = clipped.above(self.min_score)
-        return Detections(segments.scaled_to(source_size), lines.scaled_to(source_size))
+        all_lines, owners = merge_with_owners(clipped, self._merge_config)
+        lines, segments = all_lines.above(self.min_score), clipped.above(self.min_score)
+        owners[owners >= len(lines)] = -1  # lines come strongest first, so the weak ones are the last
+        line_of = owners[clipped.scores >= self.min_score]
+        return Detections(segments.scaled_to(source_size), lines.scaled_to(source_size), line_of)
 
 
 def _clipped(segments: Segments, image_size: tuple[int, int]) -> Segments:

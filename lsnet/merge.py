@@ -2,7 +2,10 @@
 
 Two segments belong together when they run alike, lie on each other's line and touch or nearly touch. Linked
 segments form a chain; its polyline is the score-weighted mean of the segments along it, its score says how
-sure they are and how long it is.
+sure they are, how long the chain is, and how many cells agree.
+
+All chains of an image are worked on at once: a quantity per segment or per point of a polyline is one array,
+with the number of its chain beside it.
 """
 
 from __future__ import annotations
@@ -23,9 +26,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Float = NDArray[np.float64]
-
+    Int = NDArray[np.intp]
+    Found = tuple[NDArray[np.float32], float, Int]  # points, score, segments
 
 MIN_OFFSET_PX = 0.7  # linking with less tolerance than this would cut lines at random
+TIGHTER = 0.6  # of the tolerance, when a chain is taken apart
+SURE_LENGTHS_PX = (30.0, 120.0)  # least and greatest length that counts as sure, whatever the image
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,72 +44,80 @@ class MergeConfig:
     max_gap_px: float = 20.0  # along the line, between linked segments
     max_spread_px: float = 1.5  # of a chain's segments about its polyline; a wider chain is taken apart
     min_length_px: float = 40.0  # a shorter chain is no line
-    sure_length_px: float = 90.0  # at which a line's length has earned 63 % of what it can
+    sure_length: float = 0.25  # of the image's shorter side, at which a line has earned 63 % for its length
+    sure_support: float = 2.0  # cells that tell each stretch of a line, of four, that are enough
     step_px: float = 16.0  # between the points of a polyline, before it is simplified
     flatness_px: float = 0.4  # how far simplifying may move it
 
 
 def merge(segments: Segments, config: MergeConfig | None = None) -> Lines:
     """Lines of one image, strongest first."""
+    return merge_with_owners(segments, config)[0]
+
+
+def merge_with_owners(
+    segments: Segments, config: MergeConfig | None = None
+) -> tuple[Lines, NDArray[np.int32]]:
+    """Lines of one image, strongest first, and (N,) the line each segment belongs to, -1 for none."""
     config = config or MergeConfig()
-    sure = segments.above(config.min_segment_score)
-    found = _lines_of(sure, np.arange(len(sure)), config, config.max_offset_px)
+    sure = np.flatnonzero(segments.scores >= config.min_segment_score)
+    found = _lines_of(segments.endpoints[sure], segments.scores[sure], segments.image_size, config)
     found.sort(key=lambda line: -line[1])
-    scores = np.array([score for _, score in found], np.float32)
-    return Lines(tuple(points for points, _ in found), scores, segments.image_size)
+    owners = np.full(len(segments), -1, np.int32)
+    for k, (_, _, members) in enumerate(found):
+        owners[sure[members]] = k
+    scores = np.array([score for _, score, _ in found], np.float32)
+    return Lines(tuple(points for points, _, _ in found), scores, segments.image_size), owners
 
 
 def _lines_of(
-    segments: Segments, members: NDArray[np.intp], config: MergeConfig, offset_px: float
-) -> list[tuple[NDArray[np.float32], float]]:
-    """Polylines and scores of the chains among `members`.
+    endpoints: NDArray[np.float32],
+    scores: NDArray[np.float32],
+    image_size: tuple[int, int],
+    config: MergeConfig,
+) -> list[Found]:
+    """Points, score and members of each line.
 
     Cables a few pixels apart can end up in one chain; its segments then lie to both sides of its
-    polyline, and it is linked again with less tolerance.
+    polyline, and they are linked again with less tolerance.
     """
-    if not len(members):
-        return []
-    found = []
-    ends = segments.endpoints[members].astype(float)
-    chain_of = link(ends, config, offset_px)
-    for k in np.flatnonzero(_diagonals(ends, chain_of) >= config.min_length_px):
-        chain = members[chain_of == k]
-        line, spread_px = _to_line(segments, chain, config)
-        if spread_px > config.max_spread_px and offset_px > MIN_OFFSET_PX:
-            found += _lines_of(segments, chain, config, offset_px * 0.6)
-        elif line is not None:
-            found.append(line)
+    found: list[Found] = []
+    ends, pairs, offsets = endpoints.astype(float), np.zeros((0, 2), np.intp), np.zeros(0)
+    if len(ends):
+        pairs, offsets = link(ends, config)
+    left, tolerance_px = np.arange(len(ends)), config.max_offset_px
+    while len(left):
+        chains = _Chains.of(ends, pairs[offsets <= tolerance_px], left, config.min_length_px)
+        if not len(chains.members):
+            break
+        fit = _fit(ends[chains.members], scores[chains.members].astype(float), chains, config)
+        is_wide = (fit.spread_px > config.max_spread_px) & (tolerance_px > MIN_OFFSET_PX)
+        line_scores = fit.scores(image_size, config)
+        for k in np.flatnonzero(~is_wide & (fit.extent_px >= config.min_length_px)):
+            polyline = fit.points[fit.first[k] : fit.first[k + 1]].astype(np.float32)
+            simple = cv2.approxPolyDP(polyline[:, None], config.flatness_px, closed=False)[:, 0]
+            found.append((np.asarray(simple, np.float32), float(line_scores[k]), chains.members_of(int(k))))
+        left = chains.members[is_wide[chains.number]]
+        is_left = np.isin(pairs, left).all(axis=1)
+        pairs, offsets = pairs[is_left], offsets[is_left]
+        tolerance_px *= TIGHTER
     return found
 
 
-def link(ends: Float, config: MergeConfig, offset_px: float) -> NDArray[np.int32]:
-    """(N,) number of the chain of each of the segments (N, 4), from 0."""
-    middles, reach = (ends[:, :2] + ends[:, 2:]) / 2, length(ends).max() + config.max_gap_px
-    pairs = cKDTree(middles).query_pairs(reach, output_type="ndarray")
-    pairs = pairs[_belong_together(ends, pairs, config, offset_px)]
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(ends), len(ends)))
-    _, chain_of = connected_components(graph, directed=False)
-    return np.asarray(chain_of, np.int32)
-
-
-def _belong_together(
-    ends: Float, pairs: NDArray[np.intp], config: MergeConfig, offset_px: float
-) -> NDArray[np.bool_]:
-    """(P,) whether the segments of each pair (P, 2) are linked."""
+def link(ends: Float, config: MergeConfig) -> tuple[Int, Float]:
+    """(P, 2) segments of (N, 4) that may be linked, and (P,) how far they are off each other's line, px."""
+    middles, lengths = (ends[:, :2] + ends[:, 2:]) / 2, np.maximum(length(ends), 1e-9)
+    pairs = cKDTree(middles).query_pairs(lengths.max() + config.max_gap_px, output_type="ndarray")
+    angles = orientation(ends)
+    is_alike = angle_between(angles[pairs[:, 0]], angles[pairs[:, 1]]) <= np.radians(config.max_angle_deg)
+    pairs = pairs[is_alike]
     i, j = pairs[:, 0], pairs[:, 1]
-    middles, angles, lengths = (
-        (ends[:, :2] + ends[:, 2:]) / 2,
-        orientation(ends),
-        np.maximum(length(ends), 1e-9),
-    )
     directions = (ends[:, 2:] - ends[:, :2]) / lengths[:, None]
     between = middles[j] - middles[i]
-    offset = np.maximum(np.abs(_cross(directions[i], between)), np.abs(_cross(directions[j], between)))
-    along = np.abs((directions[i] * between).sum(1))
-    gap = along - (lengths[i] + lengths[j]) / 2
-    limit = np.radians(config.max_angle_deg)
-    is_alike = angle_between(angles[i], angles[j]) <= limit
-    return np.asarray(is_alike & (offset <= offset_px) & (gap <= config.max_gap_px))
+    offsets = np.maximum(np.abs(_cross(directions[i], between)), np.abs(_cross(directions[j], between)))
+    gaps = np.abs((directions[i] * between).sum(1)) - (lengths[i] + lengths[j]) / 2
+    is_linked = (offsets <= config.max_offset_px) & (gaps <= config.max_gap_px)
+    return pairs[is_linked], offsets[is_linked]
 
 
 def _cross(a: Float, b: Float) -> Float:
@@ -111,59 +125,128 @@ def _cross(a: Float, b: Float) -> Float:
     return out
 
 
-def _diagonals(ends: Float, chain_of: NDArray[np.int32]) -> Float:
-    """(chains,) diagonal of the box around each chain: no line of it is longer."""
-    count = int(chain_of.max()) + 1
-    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
-    for points in (ends[:, :2], ends[:, 2:]):
-        np.minimum.at(low, chain_of, points)
-        np.maximum.at(high, chain_of, points)
-    diagonals: Float = np.hypot(*(high - low).T)
-    return diagonals
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chains:
+    """Segments in order of their chain: members (M,), the chain of each (M,), where each begins (C + 1,)."""
+
+    members: Int
+    number: Int
+    first: Int
+
+    @classmethod
+    def of(cls, ends: Float, pairs: Int, left: Int, min_length_px: float) -> _Chains:
+        """The chains among the segments `left`, without those whose box no line of that length fits in."""
+        ones = np.ones(len(pairs), np.int8)
+        graph = coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(ends), len(ends)))
+        chain_of = connected_components(graph, directed=False)[1][left]
+        order = np.argsort(chain_of, kind="stable")
+        chain_of, members = chain_of[order], left[order]
+        starts = np.flatnonzero(np.diff(chain_of, prepend=-1))
+        counts = np.diff(starts, append=len(members))
+        start, end = ends[members, :2], ends[members, 2:]
+        low = np.minimum.reduceat(np.minimum(start, end), starts)
+        high = np.maximum.reduceat(np.maximum(start, end), starts)
+        is_long = np.hypot(*(high - low).T) >= min_length_px
+        members, counts = members[np.repeat(is_long, counts)], counts[is_long]
+        return cls(
+            members, np.repeat(np.arange(len(counts)), counts), np.concatenate([[0], np.cumsum(counts)])
+        )
+
+    def members_of(self, k: int) -> Int:
+        """The segments of chain k."""
+        return self.members[self.first[k] : self.first[k + 1]]
+
+    def sum(self, values: Float) -> Float:
+        """(C,) sum over each chain of a value per segment (M,)."""
+        out: Float = np.bincount(self.number, values, len(self.first) - 1).astype(float)
+        return out
 
 
-def _to_line(
-    segments: Segments, chain: NDArray[np.intp], config: MergeConfig
-) -> tuple[tuple[NDArray[np.float32], float] | None, float]:
-    """The polyline of a chain with its score, None when it is too short; and the spread about it, px."""
-    ends, scores = segments.endpoints[chain].astype(float), segments.scores[chain].astype(float)
-    origin, axis = _main_axis(ends, scores)
-    across = np.array([-axis[1], axis[0]])
-    points = ends.reshape(-1, 2, 2) - origin
-    u, v = points @ axis, points @ across
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Polylines of C chains: points (P, 2), of chain k from first[k] to first[k + 1], and per chain (C,)
+    its extent, the spread of its segments about it, their mean score, and how many cells tell a stretch.
+    """
+
+    points: Float
+    first: Int
+    extent_px: Float
+    spread_px: Float
+    mean_score: Float
+    support: Float
+
+    def scores(self, image_size: tuple[int, int], config: MergeConfig) -> Float:
+        """(C,) score of each line."""
+        sure_px = np.clip(config.sure_length * min(image_size), *SURE_LENGTHS_PX)
+        earned = 1 - np.exp(-self.extent_px / sure_px)
+        out: Float = self.mean_score * earned * np.minimum(self.support / config.sure_support, 1)
+        return out
+
+
+def _fit(ends: Float, scores: Float, chains: _Chains, config: MergeConfig) -> _Fit:
+    """Polylines of chains from their segments (M, 4) and scores (M,), in the order of the chains."""
+    origin, axis = _main_axes(ends, scores, chains)
+    across = np.stack([-axis[:, 1], axis[:, 0]], axis=1)
+    of = chains.number
+    relative = ends.reshape(-1, 2, 2) - origin[of, None]
+    u, v = (relative * axis[of, None]).sum(-1), (relative * across[of, None]).sum(-1)  # (M, 2) each
     order = np.argsort(u, axis=1)
     u, v = np.take_along_axis(u, order, 1), np.take_along_axis(v, order, 1)
-    extent = u.max() - u.min()
-    at = np.linspace(u.min(), u.max(), max(2, round(extent / config.step_px) + 1))
-    offsets = _mean_offsets(at, u, v, scores, config.step_px)
-    middles = np.interp(u.mean(axis=1), at, offsets) - v.mean(axis=1)
-    spread = float(np.sqrt(np.average(middles**2, weights=scores)))
-    if extent < config.min_length_px:
-        return None, spread
-    polyline = (origin + at[:, None] * axis + offsets[:, None] * across).astype(np.float32)
-    simple = cv2.approxPolyDP(polyline[:, None], config.flatness_px, closed=False)[:, 0]
-    score = np.average(scores, weights=length(ends)) * (1 - np.exp(-extent / config.sure_length_px))
-    return (np.asarray(simple, np.float32), float(score)), spread
+    begin = np.minimum.reduceat(u[:, 0], chains.first[:-1])
+    extent = np.maximum.reduceat(u[:, 1], chains.first[:-1]) - begin
+    u -= begin[of, None]
+
+    count = np.maximum(np.round(extent / config.step_px).astype(np.intp) + 1, 2)
+    step, first = extent / (count - 1), np.concatenate([[0], np.cumsum(count)])
+    offsets = _mean_offsets(
+        u, v, scores, step=step[of], count=count[of], first=first[of], reach_px=config.step_px
+    )
+    point_of = np.repeat(np.arange(len(count)), count)
+    at = begin[point_of] + (np.arange(first[-1]) - first[point_of]) * step[point_of]
+    points = origin[point_of] + at[:, None] * axis[point_of] + offsets[:, None] * across[point_of]
+
+    place = u.mean(axis=1) / step[of]  # of each segment's middle, in points of its polyline
+    before = np.minimum(place.astype(np.intp), count[of] - 2)
+    share, here = place - before, first[of] + before
+    distance = offsets[here] * (1 - share) + offsets[here + 1] * share - v.mean(axis=1)
+    spread = np.sqrt(chains.sum(scores * distance**2) / chains.sum(scores))
+    lengths = length(ends).astype(float)
+    total = np.maximum(chains.sum(lengths), 1e-9)
+    return _Fit(points, first, extent, spread, chains.sum(scores * lengths) / total, total / extent)
 
 
-def _main_axis(ends: Float, scores: Float) -> tuple[Float, Float]:
-    """Centre and unit direction of greatest spread of all endpoints."""
-    points, weights = ends.reshape(-1, 2), np.repeat(scores, 2)
-    origin = np.average(points, axis=0, weights=weights)
-    spread = np.cov((points - origin).T, aweights=weights, ddof=0)
-    return origin, np.linalg.eigh(spread)[1][:, -1]
+def _main_axes(ends: Float, scores: Float, chains: _Chains) -> tuple[Float, Float]:
+    """(C, 2) centre and unit direction of greatest spread of the endpoints of each chain."""
+    middles, weights = (ends[:, :2] + ends[:, 2:]) / 2, chains.sum(scores)
+    origin = np.stack([chains.sum(scores * middles[:, k]) / weights for k in (0, 1)], axis=1)
+    x, y = np.moveaxis(ends.reshape(-1, 2, 2) - origin[chains.number, None], -1, 0)
+    xx, yy, xy = (chains.sum(scores * (a * b).sum(1)) for a, b in ((x, x), (y, y), (x, y)))
+    angle = np.arctan2(2 * xy, xx - yy) / 2
+    return origin, np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _mean_offsets(at: Float, u: Float, v: Float, scores: Float, step_px: float) -> Float:
-    """(K,) offset of the line at each position: the weighted mean of the segments that pass near it.
+def _mean_offsets(
+    u: Float, v: Float, scores: Float, *, step: Float, count: Int, first: Int, reach_px: float
+) -> Float:
+    """(P,) offset of the polylines at their points: the weighted mean of the segments that pass near.
 
-    Each segment speaks for where it lies, and fades out within a step beyond its ends; u, v are (N, 2).
+    Each segment speaks for where it lies, and fades out within `reach_px` beyond its ends; u, v are (M, 2),
+    along and across the line; step, count and first (M,) of the points of its polyline. Where none is near,
+    points lie between their neighbours.
     """
     slope = (v[:, 1] - v[:, 0]) / np.maximum(u[:, 1] - u[:, 0], 1e-6)
-    beyond = np.maximum(np.maximum(u[:, :1] - at, at - u[:, 1:]), 0)  # (N, K)
-    weights = scores[:, None] * np.exp(-((beyond / (step_px / 4)) ** 2)) + 1e-12
+    low = np.maximum(np.ceil((u[:, 0] - reach_px) / step), 0).astype(np.intp)
+    high = np.minimum(np.floor((u[:, 1] + reach_px) / step).astype(np.intp), count - 1)
+    reached = np.maximum(high - low + 1, 0)
+    which = np.repeat(np.arange(len(u)), reached)  # (Q,) segment of each pair of a segment and a point
+    number = low[which] + np.arange(len(which)) - np.repeat(np.cumsum(reached) - reached, reached)
+    at, point = number * step[which], first[which] + number
     # A position outside a segment takes the height of its nearer end, so steep ones do not fly off.
-    inside = np.clip(at, u[:, :1], u[:, 1:])
-    heights = v[:, :1] + slope[:, None] * (inside - u[:, :1])
-    out: Float = (weights * heights).sum(0) / weights.sum(0)
+    inside = np.clip(at, u[which, 0], u[which, 1])
+    weights = scores[which] * np.exp(-(((at - inside) / (reach_px / 4)) ** 2))
+    heights = v[which, 0] + slope[which] * (inside - u[which, 0])
+    total = np.bincount(point, weights)
+    told = np.flatnonzero(total > 0)  # the ends of each polyline always are
+    means = np.bincount(point, weights * heights)[told] / total[told]
+    out: Float = np.interp(np.arange(len(total)), told, means)
     return out

@@ -101,10 +101,14 @@ class Lines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """Everything found in one image, in the pixels of that image."""
+    """Everything found in one image, in the pixels of that image.
+
+    line_of: (N,) int32, the line each segment belongs to, -1 for none; None where that is not known.
+    """
 
     segments: Segments
     lines: Lines
+    line_of: NDArray[np.int32] | None = None
 
     @classmethod
     def empty(cls, image_size: tuple[int, int]) -> Detections:

@@ -86,6 +86,17 @@ def test_rows_of_a_flight(store: Store) -> None:
     assert lines == [(i, 0, 3, points, 0.0, 0.0, 3.0, 10.0, 0.75, 11.0, 73.301) for i in (2, 3)]
 
 
+def test_segments_name_their_line(tmp_path: Path) -> None:
+    found = flights.detections(3)
+    owned = Detections(found.segments, found.lines, np.array([0, -1, 0], np.int32))
+    with flights.FlightWriter(tmp_path, "f") as writer:
+        writer.add_frame(flights.frame(0), owned)
+        writer.add_frame(flights.frame(1), found)  # not known
+        writer.finish()
+    rows = duckdb.sql(f"SELECT line_idx FROM '{tmp_path}/segments.parquet'").fetchall()
+    assert rows == [(0,), (None,), (0,), (None,), (None,), (None,)]
+
+
 def test_angles_are_below_180(tmp_path: Path) -> None:
     size = flights.IMAGE.shape[:2]
     ends = np.array([[0, 0, 9, -1e-7], [9, 0, 0, 0], [0, 0, 0, -5], [5, 5, 0, 0], [1, 1, 1, 1]], np.float32)

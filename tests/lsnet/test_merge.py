@@ -1,12 +1,13 @@
 """Cells of lines that are known, chained: what comes out must be those lines."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lsnet.grid import POSITIVE, GridCoder
-from lsnet.merge import MergeConfig, merge
+from lsnet.merge import MergeConfig, merge, merge_with_owners
 from lsnet.segments import Lines, Segments
 
 SIZE = (256, 384)
@@ -111,3 +112,66 @@ def test_lines_scale_with_their_image() -> None:
     lines = merge(cells_of([(0, 60), (384, 60)])).scaled_to((512, 768))
     assert lines.image_size == (512, 768)
     assert farthest(lines.points[0], (0, 120), (768, 120)) < 0.5
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_segments_lie_on_the_line_that_owns_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clean = cells_of([(0, 30), (384, 90)], [(10, 250), (300, 120)], [(0, 60), (384, 240)])
+    noisy = clean.endpoints + rng.normal(0, 0.4, clean.endpoints.shape).astype(np.float32)
+    stray = rng.uniform(0, 250, (30, 4)).astype(np.float32)
+    stray[:, 2:] = stray[:, :2] + rng.uniform(-20, 20, (30, 2))
+    segments = Segments(
+        np.concatenate([noisy, stray]), rng.uniform(0, 1, len(noisy) + 30).astype(np.float32), SIZE
+    )
+    lines, owners = merge_with_owners(segments)
+    assert owners.shape == (len(segments),)
+    assert set(owners.tolist()) - {-1} == set(range(len(lines)))  # none without a segment
+    assert (owners[segments.scores < MergeConfig().min_segment_score] == -1).all()
+    for (x1, y1, x2, y2), owner in zip(segments.endpoints.tolist(), owners.tolist(), strict=True):
+        if owner >= 0:
+            middle = ((x1 + x2) / 2, (y1 + y2) / 2)
+            assert -cv2.pointPolygonTest(contour(lines.points[owner]), middle, measureDist=True) < 6
+
+
+def contour(points: np.ndarray) -> np.ndarray:
+    """There and back along a polyline: OpenCV then measures the distance to it."""
+    return np.concatenate([points, points[-2:0:-1]])[:, None].astype(np.float32)
+
+
+def turned(segments: Segments) -> Segments:
+    """The same segments in the image with x and y exchanged."""
+    return Segments(segments.endpoints[:, [1, 0, 3, 2]], segments.scores, SIZE[::-1])
+
+
+@pytest.mark.parametrize("bend", [0, 12])
+def test_a_turned_image_has_turned_lines(bend: float) -> None:
+    x = np.linspace(0, 384, 40)
+    bent = np.stack([x, 70 + 0.2 * x + bend * np.sin(x / 80)], 1)
+    segments = cells_of(list(map(tuple, bent.tolist())), [(10, 250), (300, 120)])
+    plain, swapped = merge(segments), merge(turned(segments))
+    np.testing.assert_allclose(swapped.scores, plain.scores, rtol=1e-4)
+    for ours, theirs in zip(plain.points, swapped.points, strict=True):
+        ends = theirs[[0, -1]][:, ::-1]
+        ends = ends if np.hypot(*(ends[0] - ours[0])) < np.hypot(*(ends[1] - ours[0])) else ends[::-1]
+        np.testing.assert_allclose(ends, ours[[0, -1]], atol=0.1)
+
+
+def test_what_crosses_a_small_image_scores_as_what_crosses_a_large_one() -> None:
+    def crossing(side: int) -> float:
+        coder, y = GridCoder(), side * 0.4
+        targets = coder.encode([np.array([(0, y), (side, y)])], (side, side))
+        segments = coder.decode(
+            np.where(targets.labels == POSITIVE, 0.9, 0.0), targets.endpoints, (side, side), min_score=0.5
+        )
+        return float(merge(segments).scores[0])
+
+    assert crossing(128) == pytest.approx(crossing(448), abs=0.03)
+
+
+def test_what_only_every_fourth_cell_tells_scores_half() -> None:
+    segments = cells_of([(0, 90), (384, 90)])
+    order = np.argsort(segments.endpoints[:, [0, 2]].mean(axis=1), kind="stable")[::4]
+    sparse = Segments(segments.endpoints[order], segments.scores[order], SIZE)
+    assert merge(sparse).scores[0] == pytest.approx(merge(segments).scores[0] / 2, rel=0.15)

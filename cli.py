@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from inspect_pipeline.commands import (
+    anomalies,
     batch,
+    check,
     detect,
     doctor,
+    flights,
     index,
     info,
     model,
@@ -24,6 +27,7 @@ from inspect_pipeline.commands import (
     runs,
     schedule,
     simulate,
+    spans,
 )
 from inspect_pipeline.errors import InspectError
 
@@ -42,6 +46,7 @@ app = typer.Typer(
 app.command()(process.process)
 app.command()(batch.batch)
 app.command()(query.query)
+app.command()(check.check)
 app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)
@@ -50,6 +55,9 @@ app.command()(simulate.simulate)
 app.command()(doctor.doctor)
 app.command()(schedule.schedule)
 app.command()(runs.runs)
+app.add_typer(flights.app, name="flights")
+app.add_typer(anomalies.app, name="anomalies")
+app.add_typer(spans.app, name="spans")
 app.add_typer(index.app, name="index")
 app.add_typer(model.app, name="model")
 app.add_typer(quarantine.app, name="quarantine")

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from inspect_pipeline.anomaly_frames import Finding
-    from inspect_pipeline.observations import CameraRows, FrameRows, SpanRow
+    from inspect_pipeline.observations import CameraRows, FrameRows
     from inspect_pipeline.rules import Rules
+    from inspect_pipeline.spans import Span
 
 _MAX_EVIDENCE = 5
 
@@ -67,7 +68,7 @@ class Reviewed:
     end_ns: int
 
 
-def find_anomalies(cameras: Sequence[CameraRows], spans: Sequence[SpanRow], rules: Rules) -> list[Anomaly]:
+def find_anomalies(cameras: Sequence[CameraRows], spans: Sequence[Span], rules: Rules) -> list[Anomaly]:
     """The anomalies of a flight by all enabled rules, in the order of time."""
     origin = find_origin(cameras)
     found = []

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int64]
 
 _USUAL_QUANTILE = 0.8  # of the distances of two lanes along the span, as what is usual for them
-_RAISED_M = 3.0  # how far conductors of one span hang above or below each other
+_RAISED_M = 0.5  # how far conductors of one span hang above or below each other
 _NOISE_M = 0.05  # of a crossing
-_TURNS = 4
+_TURNS = 8
+_MIN_DEPTH_M = 1.0
 _MISFIT_QUANTILE = 0.8
 
 
@@ -96,28 +97,32 @@ def _sights(one: SpanEvidence) -> Sights:
 
 
 def _fit_sag(seen: Sights, length_m: float) -> tuple[float, float]:
-    """How far below its ends a conductor hangs in the middle of its span, and the median misfit, in metres.
+    """How far below its ends a conductor hangs in the middle of its span, and the misfit, in metres.
 
     A conductor at y, hung e above the plane and sagging by s, is seen at a slope q across per metre down:
-    y - side = q (above - e + s p), with p = 4 x (1 - x) at a share x of the span; and x itself follows from
-    how far down it is. Least squares in turns, with e held near 0, leaving out what fits badly.
+    q = (y - side) / (above - e + s p), with p = 4 x (1 - x) at a share x of the span; and x itself follows
+    from how far down it is. Gauss-Newton, with e held near 0, leaving out what fits badly.
     """
-    depth_m = seen.above_m
-    wanted = seen.side_m + seen.slope * seen.above_m
-    fits = np.ones(len(wanted), bool)
-    away = np.zeros(len(wanted))
-    sag_m = 0.0
+    y_m = float(np.median(seen.side_m + seen.slope * seen.above_m))
+    raised_m = sag_m = 0.0
+    fits = np.ones(len(seen.slope), bool)
+    depth_m, parabola = seen.above_m, np.zeros(len(fits))
     for _ in range(_TURNS):
         share = np.clip((seen.from_m + seen.ahead * depth_m) / length_m, 0, 1)
         parabola = 4 * share * (1 - share)
-        terms = np.column_stack((np.ones_like(share), seen.slope, -seen.slope * parabola))
-        weight = np.sqrt(max(fits.sum(), 1)) * _NOISE_M / _RAISED_M
-        rows = np.vstack((terms[fits], [0.0, weight, 0.0]))
-        y_m, raised_m, sag_m = np.linalg.lstsq(rows, np.append(wanted[fits], 0.0), rcond=None)[0]
-        away = np.abs(terms @ (y_m, raised_m, sag_m) - wanted)
-        fits = away <= 4 * max(float(np.median(away)), 0.01)
         depth_m = seen.above_m - raised_m + sag_m * parabola
-    return float(sag_m), float(np.quantile(away, _MISFIT_QUANTILE))
+        slope = (y_m - seen.side_m) / depth_m
+        # In metres across, at the depth of the conductor.
+        terms = np.column_stack((np.ones_like(slope), slope, -slope * parabola))[fits]
+        wanted = ((seen.slope - slope) * depth_m)[fits]
+        weight = np.sqrt(len(wanted)) * _NOISE_M / _RAISED_M
+        rows = np.vstack((terms, [0.0, weight, 0.0]))
+        step = np.linalg.lstsq(rows, np.append(wanted, -weight * raised_m), rcond=None)[0]
+        y_m, raised_m, sag_m = (np.array([y_m, raised_m, sag_m]) + step).tolist()
+        depth_m = np.maximum(seen.above_m - raised_m + sag_m * parabola, _MIN_DEPTH_M)
+        away = np.abs(seen.slope * depth_m - (y_m - seen.side_m))
+        fits = away <= 4 * max(float(np.median(away)), 0.01)
+    return sag_m, float(np.quantile(away, _MISFIT_QUANTILE))
 
 
 def _place_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Floats:

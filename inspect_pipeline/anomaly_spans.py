@@ -13,8 +13,14 @@ import numpy as np
 
 from inspect_pipeline.anomaly_frames import Finding, runs_of
 from inspect_pipeline.anomaly_lanes import find_converging, find_sag_changes, make_lanes
-from inspect_pipeline.coverage import is_near
-from inspect_pipeline.observations import NO_TRACK, completed_lines, place_cameras, tracked_lines
+from inspect_pipeline.coverage import find_origin, is_near
+from inspect_pipeline.observations import (
+    NO_TRACK,
+    completed_lines,
+    judge_frames,
+    place_cameras,
+    tracked_lines,
+)
 from inspect_pipeline.span_views import SpanAxis, SpanView, make_axis, view_span, visible_gsd_m
 
 if TYPE_CHECKING:
@@ -22,15 +28,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from inspect_pipeline.observations import CameraRows, SpanRow
+    from inspect_pipeline.observations import CameraRows
     from inspect_pipeline.projection import Cameras, LocalMetres
     from inspect_pipeline.rules import Rules
+    from inspect_pipeline.spans import Span
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
     Mask = NDArray[np.bool_]
 
 
+_SMOOTHED_FRAMES = 31
 _OUTERMOST = (0.02, 0.98)  # quantiles of where lines lie across
 
 
@@ -63,7 +71,7 @@ class SpanEvidence:
 
 def find_on_spans(
     camera: CameraRows,
-    spans: Sequence[SpanRow],
+    spans: Sequence[Span],
     origin: LocalMetres,
     is_usable: Mask,
     rules: Rules,
@@ -85,10 +93,10 @@ def find_on_spans(
 
 
 def gather_evidence(
-    camera: CameraRows, spans: Sequence[SpanRow], origin: LocalMetres, is_usable: Mask, rules: Rules
+    camera: CameraRows, spans: Sequence[Span], origin: LocalMetres, is_usable: Mask, rules: Rules
 ) -> list[SpanEvidence]:
     """The evidence of each span that enough frames of a camera show."""
-    lines = completed_lines(tracked_lines(camera.lines, rules), rules)
+    lines = completed_lines(tracked_lines(camera.lines, rules), rules.tracks["max_coast_frames"])
     if not len(lines) or not np.any(lines.track != NO_TRACK):
         return []
     cameras = place_cameras(camera.frames, origin, rules)
@@ -120,6 +128,41 @@ def _shows_all(axis: SpanAxis, view: SpanView, cameras: Cameras, rules: Rules) -
         places = np.column_stack((middles + side_m * axis.across, np.full(len(middles), axis.height_m)))
         is_shown &= np.isfinite(visible_gsd_m(cameras, places, rules.anomalies["margin_px"]))
     return is_shown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CountRows:
+    """Rows of the table conductor_counts of one camera and span: arrays (N,); None for the whole picture."""
+
+    span_id: str | None
+    frame_idx: Ints
+    n_conductors: Ints
+
+
+def count_conductors(camera: CameraRows, spans: Sequence[Span], rules: Rules) -> Iterator[CountRows]:
+    """How many followed lines each usable frame shows, and how many conductors of each span, smoothed."""
+    usable = judge_frames(camera.frames, rules).usable
+    lines = completed_lines(tracked_lines(camera.lines, rules), rules.tracks["max_coast_frames"])
+    if not len(lines):
+        return
+    each = np.unique(np.column_stack((lines.frame, lines.track)), axis=0)
+    in_picture = np.bincount(each[:, 0], minlength=len(usable)).astype(np.float64)
+    yield _smooth(None, camera, np.where(usable & (in_picture > 0), in_picture, np.nan))
+    origin = find_origin([camera])
+    for one in gather_evidence(camera, spans, origin, usable, rules) if origin else ():
+        shown = np.isfinite(one.counts).any(axis=1)
+        in_frame = np.full(len(usable), np.nan)
+        in_frame[shown] = np.nanmedian(one.counts[shown], axis=1)
+        yield _smooth(one.axis.span_id, camera, in_frame)
+
+
+def _smooth(span_id: str | None, camera: CameraRows, counts: Floats) -> CountRows:
+    """The median over a window of frames, for the frames that have a count."""
+    padded = np.pad(counts, _SMOOTHED_FRAMES // 2, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, _SMOOTHED_FRAMES)
+    known = np.isfinite(counts)
+    smooth = np.round(np.nanmedian(windows[known], axis=1)).astype(np.int64)
+    return CountRows(span_id, camera.frames.frame_idx[known], smooth)
 
 
 def _level(counts: Floats, rules: Rules) -> Floats:
@@ -158,6 +201,8 @@ def _find_deficits(one: SpanEvidence, expected: int, origin: LocalMetres, rules:
     for run in runs_of(lacking, 1):
         length_m = len(run) * bin_m
         is_at_end = run[0] == 0 or run[-1] == len(known) - 1
+        if is_at_end and not _is_sure_of_end(one, known[run], rules):
+            continue
         kind = "conductor_lost" if is_at_end else "conductor_gap"
         limit_m = rules.of(kind)["min_length_m"]
         if length_m < limit_m:
@@ -181,6 +226,18 @@ def _find_deficits(one: SpanEvidence, expected: int, origin: LocalMetres, rules:
             span_id=one.axis.span_id,
             place=one.place(bins, origin),
         )
+
+
+def _is_sure_of_end(one: SpanEvidence, bins: Ints, rules: Rules) -> bool:
+    """Whether bins reach a structure, but for the margin; short of it, twice as many frames must show them.
+
+    Where a flight begins or ends in a span, a line that was not followed yet is as good as none.
+    """
+    near_m = 2 * rules.anomalies["margin_m"]
+    along_m = one.axis.bins_m[bins]
+    n_views = int(np.isfinite(one.counts[:, bins]).sum(axis=0).max())
+    is_at_structure = along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m
+    return bool(is_at_structure or n_views >= 2 * rules.anomalies["min_views"])
 
 
 def _find_surplus(one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules) -> Iterator[Finding]:

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from inspect_pipeline.observations import FrameRows, SpanRow
+    from inspect_pipeline.observations import FrameRows
     from inspect_pipeline.rules import Rules
+    from inspect_pipeline.spans import Span
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
@@ -104,7 +105,7 @@ class FlightCoverage:
     bins: tuple[Bins, ...]
 
 
-def measure_coverage(cameras: Sequence[CameraRows], spans: Sequence[SpanRow], rules: Rules) -> FlightCoverage:
+def measure_coverage(cameras: Sequence[CameraRows], spans: Sequence[Span], rules: Rules) -> FlightCoverage:
     """The coverage of a flight by all its cameras."""
     numbers: list[Coverage] = []
     gaps: list[Gap] = []
@@ -130,10 +131,10 @@ def find_origin(cameras: Sequence[CameraRows]) -> LocalMetres | None:
 
 
 def has_lines(camera: CameraRows, rules: Rules) -> Mask:
-    """(N,) whether a frame has a line that was followed, be it missed in this very frame."""
+    """(N,) whether a frame has a line that was followed, be it missed in this frame."""
     lines = tracked_lines(camera.lines, rules)
     if len(lines) and np.any(lines.track >= 0):
-        lines = completed_lines(lines, rules)
+        lines = completed_lines(lines, rules.tracks["max_missed_frames"])
     found = np.zeros(len(camera.frames), bool)
     found[lines.frame] = True
     return found & camera.frames.is_ok
@@ -251,7 +252,7 @@ def _over_cameras(numbers: Sequence[Coverage]) -> list[Coverage]:
 
 
 def _span_bins(
-    cameras: Sequence[CameraRows], spans: Sequence[SpanRow], origin: LocalMetres, rules: Rules
+    cameras: Sequence[CameraRows], spans: Sequence[Span], origin: LocalMetres, rules: Rules
 ) -> Iterator[Bins]:
     """The bins of the spans near the path."""
     paths = [origin.to_metres(c.frames.lat_deg, c.frames.lon_deg) for c in cameras]

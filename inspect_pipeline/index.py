@@ -7,8 +7,8 @@ files are the truth: an index that is missing, corrupt or behind is brought up t
 
 from __future__ import annotations
 
-import json
 import shutil
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC
 from importlib.metadata import version
@@ -18,14 +18,17 @@ import duckdb
 
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.files import fsync_path, store_errors
+from inspect_pipeline.index_inspection import input_digests, insert_records, inspect_flights, refresh
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.runs import load_runs, run_rows
 from inspect_pipeline.tables import ROW_TABLES, count_migrations, create_tables
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from inspect_pipeline.index_inspection import Inspected
+    from inspect_pipeline.rules import Rules
     from inspect_pipeline.store import Store, StoredFlight
 
 _FLIGHTS_PER_INSERT = 256
@@ -88,6 +91,37 @@ def rebuild(store: Store) -> IndexChange:
         return _rebuild(store, *_whole_flights(store))
 
 
+def select(store: Store, sql: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
+    """The rows of a statement of this program's own, by name; that of people goes to query.py.
+
+    Raises StoreError when there is no index, or none that can be read.
+    """
+    with _reading(store) as connection:
+        cursor = connection.execute(sql, list(values))
+        names = [column[0] for column in cursor.description or ()]
+        return [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
+
+
+def inspect_again(store: Store, flight_ids: Sequence[str], rules: Rules) -> Inspected:
+    """Anomalies and coverage of flights by other rules, as rows of the tables; raises StoreError."""
+    with _reading(store) as connection:
+        return inspect_flights(connection, store, flight_ids, rules)
+
+
+@contextmanager
+def _reading(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
+    path = store.index_path
+    if not path.exists():
+        raise StoreError(store.root, "there is no index", "run lsnet-pipe process first")
+    try:
+        with duckdb.connect(path, read_only=True, config=_CONFIG) as connection:
+            if count_migrations(connection) != len(MIGRATIONS):
+                raise StoreVersionError(path, "the index is of another version", _REBUILD)
+            yield connection
+    except duckdb.Error as error:
+        raise StoreError(path, f"cannot be read ({str(error).splitlines()[0]})", _REBUILD) from error
+
+
 def verify(store: Store) -> tuple[str, ...]:
     """What differs between the index and the flights of the store, a sentence each; every value is compared.
 
@@ -106,15 +140,17 @@ def verify(store: Store) -> tuple[str, ...]:
         problems += [f"{i}: older in the index; {_REBUILD}" for i in (wanted.keys() & known) - same.keys()]
         problems += _compare_rows(store.index_path, list(same.values()))
         if not problems and not _is_current(store, flights):
-            problems.append(f"{store.index_path}: other runs, or of another version; {_REBUILD}")
+            problems.append(f"{store.index_path}: other runs, spans or rules, or another version; {_REBUILD}")
         return tuple(problems)
 
 
 def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
-    """Whether a readable index has the tables and views of this version of the program, and all runs."""
+    """Whether a readable index is of this version of the program, with all runs and what people told."""
     with duckdb.connect(store.index_path, read_only=True, config=_CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
         if connection.execute(latest).fetchone() != (len(MIGRATIONS), version("lsnet-pipe")):
+            return False
+        if dict(connection.execute("SELECT name, sha256 FROM inputs").fetchall()) != input_digests(store):
             return False
         rows = connection.execute("SELECT run_id::VARCHAR, finished_at FROM runs").fetchall()
     found = {run_id: time and time.replace(tzinfo=UTC).isoformat() for run_id, time in rows}
@@ -185,7 +221,8 @@ def _replace_index(
             create_tables(connection)
             _replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
             connection.execute("DELETE FROM runs")
-            _insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
+            insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
+            refresh(connection, store, [flight.record.flight_id for flight in changed])
             connection.execute(read_schema("views.sql"))
             connection.execute("UPDATE schema_version SET app_version = ?", [version("lsnet-pipe")])
             connection.execute("CHECKPOINT")
@@ -228,9 +265,9 @@ def _insert_flights(connection: duckdb.DuckDBPyConnection, flights: Sequence[Sto
         for record in records.values()
         for channel in record["channels"]
     ]
-    _insert_records(connection, "INSERT OR REPLACE INTO models", "models", list(models.values()))
-    _insert_records(connection, "INSERT INTO flights", "flights", [_flight_row(*r) for r in records.items()])
-    _insert_records(connection, "INSERT INTO channels", "channels", channels)
+    insert_records(connection, "INSERT OR REPLACE INTO models", "models", list(models.values()))
+    insert_records(connection, "INSERT INTO flights", "flights", [_flight_row(*r) for r in records.items()])
+    insert_records(connection, "INSERT INTO channels", "channels", channels)
     connection.execute(_SET_CHANNEL_TIMES, [_row_files(flights, "frames")])
 
 
@@ -244,20 +281,6 @@ def _flight_row(result_sha256: str, record: dict[str, Any]) -> dict[str, Any]:
         "config_sha256": record["run"]["config_sha256"],
         "result_sha256": result_sha256,
     }
-
-
-def _insert_records(
-    connection: duckdb.DuckDBPyConnection, insert: str, table: str, rows: list[dict[str, Any]]
-) -> None:
-    """Insert rows whose keys are columns of `table`, in one statement; their types are the table's."""
-    if not rows:
-        return
-    described = connection.execute(f"DESCRIBE {table}").fetchall()
-    shape = {name: kind for name, kind, *_ in described if name in rows[0]}
-    connection.execute(
-        f"{insert} BY NAME SELECT unnest(row) FROM (SELECT unnest(from_json(?, ?)) AS row)",
-        [json.dumps(rows), json.dumps([shape])],
-    )
 
 
 def _row_files(flights: Iterable[StoredFlight], table: str) -> list[str]:

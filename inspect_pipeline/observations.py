@@ -24,7 +24,10 @@ NO_TRACK = -1
 
 @dataclass(frozen=True)
 class FrameRows:
-    """The frames of a camera in order, an array (N,) for each column; NaN for NULL, -1 for a size of NULL."""
+    """The frames of a camera in order, an array (N,) for each column; NaN for NULL, -1 for a size of NULL.
+
+    is_turn_known: whether the camera's attitude was recorded, instead of assumed.
+    """
 
     frame_idx: Ints
     log_time_ns: Ints
@@ -42,6 +45,7 @@ class FrameRows:
     cam_roll_deg: Floats
     pose_age_ms: Floats
     focal_px: Floats
+    is_turn_known: Mask
 
     def __len__(self) -> int:
         return len(self.frame_idx)
@@ -104,21 +108,6 @@ class CameraRows:
 
 
 @dataclass(frozen=True)
-class SpanRow:
-    """A span, as in the table spans; None for what is not known."""
-
-    span_id: str
-    from_lat_deg: float
-    from_lon_deg: float
-    from_height_m: float | None
-    to_lat_deg: float
-    to_lon_deg: float
-    to_height_m: float | None
-    length_m: float
-    expected_conductors: int | None
-
-
-@dataclass(frozen=True)
 class Usable:
     """Which frames of a camera can be used, and what is wrong with the others: masks (N,)."""
 
@@ -148,8 +137,8 @@ def tracked_lines(lines: LineRows, rules: Rules) -> LineRows:
     return lines.select(is_long[inverse])
 
 
-def completed_lines(lines: LineRows, rules: Rules) -> LineRows:
-    """The lines, and for frames that lack one amid its track, those of the nearest frame before.
+def completed_lines(lines: LineRows, max_missed: float) -> LineRows:
+    """The lines, and for up to `max_missed` frames that lack one amid its track, those of the frame before.
 
     Lines without a track are left out.
     """
@@ -162,9 +151,7 @@ def completed_lines(lines: LineRows, rules: Rules) -> LineRows:
     begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(track, prepend=track[0] - 1) != 0))
     sizes = np.diff(begins, append=len(order))
     steps = np.append(np.diff(frame[begins]), 1)
-    is_bridged = np.append(np.diff(track[begins]) == 0, False) & (
-        steps <= rules.tracks["max_coast_frames"] + 1
-    )
+    is_bridged = np.append(np.diff(track[begins]) == 0, False) & (steps <= max_missed + 1)
     repeats = np.where(is_bridged, steps, 1)
     sight = np.repeat(np.arange(len(begins)), repeats)
     age = _count_up(repeats)
@@ -188,8 +175,8 @@ def _take(lines: LineRows, chosen: Ints, frames: Ints) -> LineRows:
 
 
 def place_cameras(frames: FrameRows, origin: LocalMetres, rules: Rules) -> Cameras:
-    """The cameras of frames; NaN where the pose or the lens is not known, or the pose too old."""
-    is_old = frames.pose_age_ms > rules.coverage["max_pose_age_ms"]
+    """The cameras of frames; NaN where the pose or the lens is not known, is assumed, or the pose too old."""
+    is_old = ~frames.is_turn_known | (frames.pose_age_ms > rules.coverage["max_pose_age_ms"])
     ground = origin.to_metres(frames.lat_deg, frames.lon_deg)
     positions = np.column_stack((ground, frames.height_m))
     positions[is_old] = np.nan

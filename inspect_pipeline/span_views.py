@@ -14,9 +14,10 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from inspect_pipeline.observations import LineRows, SpanRow
+    from inspect_pipeline.observations import LineRows
     from inspect_pipeline.projection import Cameras, LocalMetres
     from inspect_pipeline.rules import Rules
+    from inspect_pipeline.spans import Span
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
@@ -63,7 +64,7 @@ class SpanView:
     across_m: Floats
 
 
-def make_axis(span: SpanRow, origin: LocalMetres, rules: Rules) -> SpanAxis:
+def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
     """The axis of a span; conductors whose height is not known hang at the default, sagging as usual."""
     limits = rules.coverage
     start = origin.to_metres(span.from_lat_deg, span.from_lon_deg)

@@ -160,6 +160,17 @@ class Store:
             (stored.folder / ANNOTATED).unlink(missing_ok=True)
         self.append_manifest("annotated copy removed", flight_id=stored.record.flight_id)
 
+    def remove_flight(self, flight_id: str) -> None:
+        """Remove a flight, at once for all readers of the store; raises StoreError."""
+        folder = self.flight_dir(flight_id)
+        path = self._staging / f"{folder.name}-{secrets.token_hex(4)}"
+        with store_errors(self.root):
+            self._staging.mkdir(exist_ok=True)
+            with self._own(path), self.changing_flights():
+                folder.rename(path)
+                fsync_path(folder.parent)
+        self.append_manifest("flight removed", flight_id=flight_id)
+
     @contextmanager
     def changing_flights(self) -> Iterator[None]:
         """Keep every other process from putting a flight in place or changing one; raises OSError."""

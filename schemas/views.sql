@@ -1,5 +1,7 @@
 -- Answers that are asked for every day. Not frozen: made anew at every publish.
 
+DROP VIEW IF EXISTS sensor_dropouts; -- frame_dropouts took its place
+
 CREATE OR REPLACE VIEW flight_summary AS
 WITH frame_stats AS (
     SELECT flight_id,
@@ -13,6 +15,25 @@ channel_stats AS (
     SELECT flight_id, count(*) AS n_channels
     FROM channels
     GROUP BY flight_id
+),
+coverages AS (
+    SELECT flight_id,
+           max(share) FILTER (kind = 'frame')                      AS frame_coverage,
+           max(share) FILTER (kind = 'detection' AND unit = 's')   AS detection_coverage,
+           sum(covered) FILTER (kind = 'span')
+             / nullif(sum(total) FILTER (kind = 'span'), 0)        AS span_coverage,
+           max(share) FILTER (kind = 'corridor')                   AS corridor_coverage
+    FROM coverage
+    WHERE channel_id IS NULL
+    GROUP BY flight_id
+),
+anomaly_stats AS (
+    SELECT a.flight_id,
+           count(*)                                  AS n_anomalies,
+           count(*) FILTER (r.anomaly_id IS NULL)    AS n_open_anomalies
+    FROM anomalies AS a
+    LEFT JOIN reviews AS r USING (anomaly_id)
+    GROUP BY a.flight_id
 )
 SELECT f.flight_id,
        f.source_uri,
@@ -25,6 +46,12 @@ SELECT f.flight_id,
        f.n_bad_frames,
        coalesce(s.n_frames_with_segments, 0)                           AS n_frames_with_segments,
        s.n_frames_with_segments / nullif(f.n_frames - f.n_bad_frames, 0) AS detection_share,
+       v.frame_coverage,
+       v.detection_coverage,
+       v.span_coverage,
+       v.corridor_coverage,
+       coalesce(a.n_anomalies, 0)                                      AS n_anomalies,
+       coalesce(a.n_open_anomalies, 0)                                 AS n_open_anomalies,
        f.n_segments,
        f.n_lines,
        s.median_sharpness,
@@ -34,6 +61,8 @@ SELECT f.flight_id,
 FROM flights AS f
 LEFT JOIN frame_stats AS s USING (flight_id)
 LEFT JOIN channel_stats AS c USING (flight_id)
+LEFT JOIN coverages AS v USING (flight_id)
+LEFT JOIN anomaly_stats AS a USING (flight_id)
 LEFT JOIN models AS m USING (model_id);
 
 CREATE OR REPLACE VIEW bad_frames AS
@@ -42,58 +71,116 @@ FROM frames AS f
 LEFT JOIN channels AS c USING (flight_id, channel_id)
 WHERE f.status = 'bad';
 
--- Frames that did not come: intervals over 2.5 times the channel's median.
-CREATE OR REPLACE VIEW sensor_dropouts AS
-WITH intervals AS (
-    SELECT flight_id,
-           channel_id,
-           lag(frame_idx) OVER following AS frame_before,
-           frame_idx                     AS frame_after,
-           lag(log_time_ns) OVER following AS start_ns,
-           log_time_ns                   AS end_ns,
-           log_time_ns - lag(log_time_ns) OVER following AS gap_ns
-    FROM frames
-    WINDOW following AS (PARTITION BY flight_id, channel_id ORDER BY frame_idx)
-),
-medians AS (
-    SELECT flight_id, channel_id, median(gap_ns) AS median_ns
-    FROM intervals
-    GROUP BY flight_id, channel_id
-)
+CREATE OR REPLACE VIEW frame_dropouts AS
 SELECT flight_id,
        channel_id,
-       frame_before,
-       frame_after,
+       first_frame_idx AS frame_before,
+       last_frame_idx  AS frame_after,
        start_ns,
-       make_timestamp(start_ns // 1000)           AS start_utc,
-       gap_ns / 1e9                               AS gap_s,
-       round(gap_ns / median_ns)::BIGINT - 1      AS n_frames_lost
-FROM intervals
-JOIN medians USING (flight_id, channel_id)
-WHERE gap_ns > 2.5 * median_ns;
+       start_utc,
+       duration_s      AS gap_s,
+       length_m        AS gap_m,
+       n_frames        AS n_frames_lost
+FROM coverage_gaps
+WHERE kind = 'frame';
 
--- Five or more good frames in a row without any segment; bad frames neither count nor interrupt.
 CREATE OR REPLACE VIEW detection_gaps AS
-WITH numbered AS (
-    SELECT flight_id,
-           channel_id,
-           frame_idx,
-           log_time_ns,
-           n_segments > 0 AS has_segments,
-           row_number() OVER (PARTITION BY flight_id, channel_id ORDER BY frame_idx)
-             - row_number() OVER (PARTITION BY flight_id, channel_id, n_segments > 0 ORDER BY frame_idx) AS streak
-    FROM frames
-    WHERE status = 'ok'
-)
 SELECT flight_id,
        channel_id,
-       min(frame_idx)                                  AS first_frame,
-       max(frame_idx)                                  AS last_frame,
-       count(*)                                        AS n_frames,
-       min(log_time_ns)                                AS start_ns,
-       make_timestamp(min(log_time_ns) // 1000)        AS start_utc,
-       (max(log_time_ns) - min(log_time_ns)) / 1e9     AS duration_s
-FROM numbered
-WHERE NOT has_segments
-GROUP BY flight_id, channel_id, streak
-HAVING count(*) >= 5;
+       first_frame_idx,
+       last_frame_idx,
+       n_frames,
+       start_ns,
+       start_utc,
+       duration_s,
+       length_m
+FROM coverage_gaps
+WHERE kind = 'detection';
+
+CREATE OR REPLACE VIEW span_coverage AS
+WITH bins AS (
+    SELECT flight_id,
+           span_id,
+           max(best_gsd_m) AS worst_gsd_m,
+           min(n_frames)   AS least_frames,
+           min(first_ns)   AS first_ns,
+           max(last_ns)    AS last_ns
+    FROM coverage_bins
+    WHERE kind = 'span'
+    GROUP BY flight_id, span_id
+)
+SELECT c.flight_id,
+       c.span_id,
+       s.line_id,
+       c.total         AS length_m,
+       c.imaged        AS imaged_m,
+       c.covered       AS covered_m,
+       c.share,
+       c.longest_gap_m,
+       b.worst_gsd_m,
+       b.least_frames,
+       b.first_ns,
+       make_timestamp(b.first_ns // 1000) AS first_utc,
+       b.last_ns,
+       make_timestamp(b.last_ns // 1000)  AS last_utc,
+       c.thresholds
+FROM coverage AS c
+LEFT JOIN bins AS b USING (flight_id, span_id)
+LEFT JOIN spans AS s USING (span_id)
+WHERE c.kind = 'span';
+
+CREATE OR REPLACE VIEW corridor_coverage AS
+SELECT flight_id,
+       total   AS length_m,
+       imaged  AS imaged_m,
+       covered AS covered_m,
+       share,
+       longest_gap_m,
+       thresholds
+FROM coverage
+WHERE kind = 'corridor';
+
+-- Over all flights: a bin is covered when any of them covered it.
+CREATE OR REPLACE VIEW span_last_seen AS
+WITH bins AS (
+    SELECT span_id,
+           bin_idx,
+           any_value(length_m) AS length_m,
+           max(n_detected) > 0 AS is_covered
+    FROM coverage_bins
+    WHERE kind = 'span'
+    GROUP BY span_id, bin_idx
+),
+unions AS (
+    SELECT span_id, sum(length_m) FILTER (is_covered) AS covered_m, sum(length_m) AS length_m
+    FROM bins
+    GROUP BY span_id
+),
+flown AS (
+    SELECT span_id,
+           count(*) FILTER (covered_m > 0) AS n_flights,
+           max(last_ns)                    AS last_ns,
+           arg_max(flight_id, last_ns)     AS last_flight_id
+    FROM span_coverage
+    GROUP BY span_id
+)
+SELECT s.span_id,
+       s.line_id,
+       s.length_m,
+       coalesce(u.covered_m, 0)               AS covered_m,
+       coalesce(u.covered_m / u.length_m, 0)  AS share,
+       coalesce(f.n_flights, 0)               AS n_flights,
+       f.last_ns,
+       make_timestamp(f.last_ns // 1000)      AS last_utc,
+       f.last_flight_id
+FROM spans AS s
+LEFT JOIN unions AS u USING (span_id)
+LEFT JOIN flown AS f USING (span_id);
+
+CREATE OR REPLACE VIEW reviewed_anomalies AS
+SELECT a.*,
+       coalesce(r.verdict, 'open') AS verdict,
+       r.note,
+       r.reviewed_at
+FROM anomalies AS a
+LEFT JOIN reviews AS r USING (anomaly_id);

@@ -21,7 +21,16 @@ class OutputFormat(StrEnum):
 
 
 def query(
-    sql: Annotated[str, typer.Argument(metavar="SQL", help="One reading statement, in quotes.")],
+    sql: Annotated[
+        str | None, typer.Argument(metavar="SQL", help="One reading statement, in quotes.")
+    ] = None,
+    named: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A query that has a name; `list` shows them.")
+    ] = None,
+    param: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="A value of the named query.")
+    ] = None,
+    show_sql: Annotated[bool, typer.Option("--show-sql", help="Print the named query, ask nothing.")] = False,
     store: StoreOption = None,
     output_format: Annotated[
         OutputFormat, typer.Option("--format", help="How to write the rows.")
@@ -34,10 +43,16 @@ def query(
     ] = False,
     timeout: Annotated[float, typer.Option(help="Stop the query after this many seconds.", min=0.1)] = 60.0,
 ) -> None:
-    """Ask the index in SQL: one SELECT, WITH, EXPLAIN, DESCRIBE, SHOW or SUMMARIZE.
+    """Ask the index in SQL: one SELECT, WITH, EXPLAIN, DESCRIBE, SHOW or SUMMARIZE; or a query by its name.
 
     Example: lsnet-pipe query "SELECT source_uri, n_frames, detection_share FROM flight_summary"
     """
+    if (sql is None) == (named is None):
+        raise typer.BadParameter("give SQL or --named NAME; --named list shows the names")
+    if sql is None:
+        sql = _find_named(named or "", param or [], show_sql)
+        if sql is None:
+            return
     from inspect_pipeline.query import QueryLimits, run_query
     from inspect_pipeline.store import Store, store_path
 
@@ -49,3 +64,20 @@ def query(
         limits=QueryLimits(timeout_s=timeout),
         allow_files=allow_files,
     )
+
+
+def _find_named(name: str, values: list[str], is_shown: bool) -> str | None:
+    """The SQL of a named query; None when names or SQL were asked for, and printed."""
+    from inspect_pipeline.named_queries import find_query, named_queries
+
+    if name == "list":
+        for query in named_queries().values():
+            needs = "".join(f" --param {parameter}=..." for parameter in query.parameters)
+            typer.echo(f"{query.name}{needs}\n    {query.purpose}")
+        return None
+    query = find_query(name)
+    if is_shown:
+        typer.echo(query.sql.rstrip())
+        return None
+    pairs = (value.partition("=") for value in values)
+    return query.with_values({key: value for key, _, value in pairs})

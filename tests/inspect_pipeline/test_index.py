@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 TABLES = ("models", "runs", "flights", "channels", "frames", "segments", "lines")
-VIEWS = ("flight_summary", "bad_frames", "sensor_dropouts", "detection_gaps")
+DERIVED = ("coverage", "coverage_bins", "coverage_gaps", "conductor_counts", "anomalies", "inputs")
+VIEWS = ("flight_summary", "bad_frames", "frame_dropouts", "detection_gaps", "span_last_seen")
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def content(store: Store) -> dict[str, list[tuple[Any, ...]]]:
     with duckdb.connect(store.index_path, read_only=True) as connection:
         return {
             name: sorted(connection.execute(f"FROM {name}").fetchall(), key=repr)
-            for name in (*TABLES, *VIEWS)
+            for name in (*TABLES, *DERIVED, *VIEWS)
         }
 
 
@@ -298,10 +299,10 @@ def test_views_find_planted_faults(tmp_path: Path) -> None:
     index.publish(store)
     start = flights.START_NS
     assert ask(store, "SELECT * EXCLUDE (flight_id, start_utc) FROM detection_gaps") == [
-        (1, 10, 16, 6, start + 10 * flights.PERIOD_NS, 0.6)
+        (1, 10, 16, 6, start + 10 * flights.PERIOD_NS, 0.6, None)
     ]
-    assert ask(store, "SELECT * EXCLUDE (flight_id, start_utc) FROM sensor_dropouts") == [
-        (1, 19, 20, start + 19 * flights.PERIOD_NS, 0.5, 4)
+    assert ask(store, "SELECT * EXCLUDE (flight_id, start_utc) FROM frame_dropouts") == [
+        (1, 19, 20, start + 19 * flights.PERIOD_NS, 0.5, None, 4)
     ]
     assert ask(store, "SELECT topic, frame_idx, reason FROM bad_frames") == [
         (flights.TOPIC, 13, "corrupt JPEG")

@@ -8,10 +8,14 @@ table, `_RAW`.
 from __future__ import annotations
 
 import struct
+import warnings
+import zlib
+from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from inspect_pipeline.image_messages import ImageError, ImageMessage, is_image, parse
 from inspect_pipeline.video import can_decode
@@ -23,9 +27,19 @@ if TYPE_CHECKING:
 
 __all__ = ["ImageError", "ImageMessage", "decode", "is_image", "parse", "refusal"]
 
-_MAX_PIXELS = 256 << 20  # a header that claims more is damage or an attack
+# Claims beyond these are damage or an attack.
+_MAX_PIXELS = 160 << 20  # cameras have up to 150 megapixels
+_MAX_PIXELS_PER_BYTE = 10_000  # a PNG of one bit and one colour has 8,256
+_SMALL_PIXELS = 4 << 20
 _JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 _JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+
+cv2.utils.logging.setLogLevel(
+    cv2.utils.logging.LOG_LEVEL_SILENT
+)  # what is wrong with an image stands in its frame
+# Pillow may warn of what is below our own limits.
+warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
 
 
 class _Raw(NamedTuple):
@@ -88,8 +102,11 @@ def decode(message: ImageMessage) -> NDArray[np.uint8]:
 
 
 def _decode_compressed(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if _claimed_pixels(memoryview(data.data)) > _MAX_PIXELS:
+    n_pixels = _claimed_pixels(memoryview(data.data))
+    if n_pixels > _MAX_PIXELS:
         raise ImageError(f"the image claims more than {_MAX_PIXELS >> 20} megapixels")
+    if n_pixels > max(_MAX_PIXELS_PER_BYTE * len(data), _SMALL_PIXELS):
+        raise ImageError("the image claims more pixels than its bytes can hold")
     image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise ImageError("the image cannot be decoded")
@@ -97,25 +114,45 @@ def _decode_compressed(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _claimed_pixels(view: memoryview) -> int:
-    """Width times height by the head of a JPEG or PNG, before memory is taken for it; 0 when unknown.
+    """Width times height by the head of an image, before memory is taken for it; 0 when unknown.
 
-    Raises ImageError for a PNG whose chunks are not all there: OpenCV would take the memory they claim.
+    Raises ImageError for a damaged PNG.
     """
     if view[:8] == _PNG:
-        at = 8
-        while at < len(view):
-            length = int.from_bytes(view[at : at + 4])
-            at += 12 + length
-            if at > len(view):
-                raise ImageError("the image is cut off")
+        _check_png(view)
         return int.from_bytes(view[16:20]) * int.from_bytes(view[20:24])
+    if view[:3] != _JPEG:
+        return _claimed_to_pillow(view)
     at = 2
-    while view[:3] == _JPEG and at + 9 <= len(view) and view[at] == 0xFF:
+    while at + 9 <= len(view) and view[at] == 0xFF:
         marker, length, _, height, width = struct.unpack_from(">xBHBHH", view, at)
         if marker in _JPEG_FRAME_MARKERS:
             return int(height * width)
         at += 2 + length
     return 0
+
+
+def _check_png(view: memoryview) -> None:
+    """Find the damage before OpenCV does, which would take the memory it claims, and talk to stderr."""
+    at = 8
+    while at < len(view):
+        end = at + 8 + int.from_bytes(view[at : at + 4])
+        if end + 4 > len(view):
+            raise ImageError("the image is cut off")
+        if zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4]):
+            raise ImageError("the image does not match its CRC")
+        at = end + 4
+
+
+def _claimed_to_pillow(view: memoryview) -> int:
+    """The same of formats whose heads are less simple; Pillow reads no further than those."""
+    try:
+        with Image.open(BytesIO(view)) as image:
+            return image.width * image.height
+    except Image.DecompressionBombError:
+        return _MAX_PIXELS + 1
+    except Exception:  # its readers raise whatever a damaged head makes them
+        return 0
 
 
 def _decode_raw(encoding: str, layout: RawLayout, data: NDArray[np.uint8]) -> NDArray[np.uint8]:

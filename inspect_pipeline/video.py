@@ -31,6 +31,7 @@ _AV1_SEQUENCE = 1
 _MAX_DELAY = 17  # packets: H.264 and H.265 put no picture further out of order than 16
 _MAX_WAITING_BYTES = 64 << 20  # of messages that wait for one that is wanted
 
+_MAX_PIXELS = 64 << 20  # twice those of 8K video; a stream that claims more is damage or an attack
 _NO_PICTURE = "the picture of the video cannot be decoded"
 
 _Key = Literal["none", "open", "closed"]
@@ -146,6 +147,7 @@ def _new_codec(name: str) -> av.VideoCodecContext:
     import av  # noqa: PLC0415
 
     codec = cast("av.VideoCodecContext", av.CodecContext.create(name, "r"))
+    codec.options = {"max_pixels": str(_MAX_PIXELS)}
     codec.thread_count = 1  # threads that take a frame each give pictures late
     return codec
 

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import resource
+import struct
+import zlib
 from io import BytesIO
 from typing import Any
 
@@ -209,16 +212,31 @@ def test_what_is_not_processed_and_why() -> None:
         decode(ros_image("invented"))
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_an_image_that_claims_absurd_size_takes_no_memory(suffix: str) -> None:
-    data = bytearray(cv2.imencode(suffix, picture(1))[1].tobytes())
-    if suffix == ".png":
-        data[16:24] = b"\0\0\x7f\xff" * 2
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp", ".bmp", ".tiff"])
+@pytest.mark.parametrize(("size", "words"), [(0x3FF0, "megapixels"), (0x1FF0, "more pixels than its bytes")])
+def test_an_image_that_claims_absurd_size_takes_no_memory(suffix: str, size: int, words: str) -> None:
+    options = [cv2.IMWRITE_WEBP_QUALITY, 80] if suffix == ".webp" else []
+    data = bytearray(cv2.imencode(suffix, picture(1), options)[1].tobytes())
+    big, little = size.to_bytes(4, "big"), size.to_bytes(4, "little")
+    at = {
+        ".png": 16,
+        ".jpg": data.find(b"\xff\xc0") + 5,
+        ".webp": data.find(b"\x9d\x01\x2a") + 3,
+        ".bmp": 18,
+    }.get(suffix, 0)
+    if suffix == ".tiff":
+        for tag in (256, 257):  # width and height, one value each, of 16 bits or of 32
+            entry = next(i for kind in (3, 4) if (i := data.find(struct.pack("<HHI", tag, kind, 1))) > 0)
+            data[entry + 8 : entry + 12] = little
     else:
-        at = data.index(b"\xff\xc0") + 5
-        data[at : at + 4] = b"\x7f\xff" * 2
-    with pytest.raises(ImageError, match="megapixels"):
+        claim = {".jpg": big[2:], ".webp": little[:2], ".bmp": little}.get(suffix, big) * 2
+        data[at : at + len(claim)] = claim
+    if suffix == ".png":
+        data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
+    memory_before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ImageError, match=words):
         decode(message(bytes(data)))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_before_kb < 50 << 10
 
 
 def test_a_png_chunk_that_claims_absurd_size_takes_no_memory() -> None:
@@ -227,6 +245,17 @@ def test_a_png_chunk_that_claims_absurd_size_takes_no_memory() -> None:
     data[at : at + 4] = b"\x7f\xff\xff\xf0"
     with pytest.raises(ImageError, match="cut off"):
         decode(message(bytes(data)))
+
+
+def test_a_damaged_png_is_found_quietly(capfd: pytest.CaptureFixture[str]) -> None:
+    """libpng would tell stderr."""
+    whole = encoded_picture(1)
+    for at in range(8, len(whole)):
+        damaged = bytearray(whole)
+        damaged[at] ^= 0x40
+        with pytest.raises(ImageError, match=r"CRC|cut off"):
+            decode(message(bytes(damaged)))
+    assert capfd.readouterr().err == ""
 
 
 def test_video_is_known_by_its_first_bytes_and_is_no_image() -> None:

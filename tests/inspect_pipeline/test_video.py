@@ -218,6 +218,16 @@ def test_damaged_heads_of_h264_tell_nothing(before: bytes, head: bytes, data: by
     assert finder.is_after_gap(b"\0\0\1" + head + data) in {True, False}
 
 
+def test_video_that_claims_absurd_size_is_not_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("inspect_pipeline.video._MAX_PIXELS", 128 * 96 - 1)
+    path = record(tmp_path / "a.mcap", dict(enumerate(encode("h264", 3))), protobuf("h264"))
+    assert [frame.error for frame in iter_frames(open_recording(path))] == [
+        "the picture of the video cannot be decoded"
+    ] * 3
+
+
 def test_a_picture_in_a_video_channel(tmp_path: Path) -> None:
     """The first bytes outrank the schema."""
     packets = dict(enumerate(encode("h264", 4)))

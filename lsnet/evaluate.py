@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
@@ -17,9 +17,26 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from lsnet.detector import Detector
+    from numpy.typing import NDArray
+
+    from lsnet.segments import Detections, Segments
+
+    Use = Literal["segments", "lines"]
 
 REPORT_THRESHOLDS = (0.3, 0.5, 0.7, 0.9)
+
+
+class Finder(Protocol):
+    """What can be evaluated: a `Detector`, or a rival."""
+
+    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
+        """What is found in each uint8 (H, W, 3) RGB image, in its own pixels."""
+        ...
+
+
+def used(detections: Detections, use: Use) -> Segments:
+    """What counts of the detections: the raw segments, or the pieces of the lines."""
+    return detections.segments if use == "segments" else detections.lines.pieces()
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +63,16 @@ class PixelReport:
 
 @dataclass(frozen=True, slots=True)
 class ShareReport:
-    """A set without pixel truth: the share of its images with a reported segment, by least score."""
+    """A set without pixel truth: the share of its images in which something is reported, by least score."""
 
     folder: str
     images: int
     reported: dict[float, float]
+    use: Use = "segments"
 
     def __str__(self) -> str:
         shares = ", ".join(f"{share:.1%} at score {score:g}" for score, share in self.reported.items())
-        return f"{self.folder}: {self.images} images, with a reported segment: {shares}"
+        return f"{self.folder}: {self.images} images, with a reported {self.use[:-1]}: {shares}"
 
     def to_dict(self) -> dict[str, object]:
         """Plain values for JSON."""
@@ -62,14 +80,15 @@ class ShareReport:
 
 
 def evaluate(
-    detector: Detector,
+    detector: Finder,
     folder: Path,
     *,
     min_score: float,
+    use: Use = "segments",
     tolerances_px: Sequence[float] = (1.0, 3.0, 4.87),
     on_image: Callable[[], None] = lambda: None,
 ) -> list[PixelReport | ShareReport]:
-    """Reports of one folder, by tolerance. The detector must tell all segments from score 0.05 up.
+    """Reports of one folder, by tolerance. The detector must tell all from score 0.05 up.
 
     Raises LSNetError when the folder holds no images, or a truth is missing or of another size.
     """
@@ -78,7 +97,7 @@ def evaluate(
     counts: dict[float, list[object]] = {tolerance: [] for tolerance in tolerances_px}
     best_scores = []
     for path in files:
-        segments = detector.detect([load_rgb(path)])[0].segments
+        segments = used(detector.detect([load_rgb(path)])[0], use)
         best_scores.append(float(segments.scores.max(initial=0.0)))
         if kind != "plain":
             truth, confidence = load_truth(kind, path), confidence_map(segments)
@@ -90,7 +109,7 @@ def evaluate(
     if kind == "plain":
         levels = sorted({*REPORT_THRESHOLDS, round(min_score, 4)})
         shares = {t: float(np.mean(np.array(best_scores) >= t)) for t in levels}
-        return [ShareReport(str(folder), len(files), shares)]
+        return [ShareReport(str(folder), len(files), shares, use)]
     reports: list[PixelReport | ShareReport] = []
     for tolerance in tolerances_px:
         scores = pixel_scores(np.array(counts[tolerance]), thresholds)

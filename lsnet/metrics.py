@@ -68,14 +68,14 @@ def pixel_counts(
 
 def pixel_scores(counts: NDArray[np.int64], thresholds: NDArray[np.floating]) -> list[PixelScore]:
     """Scores at each threshold from the counts of each image, (images, T, 4)."""
-    pooled, own = _rates(counts.sum(axis=0)), _rates(counts)
+    pooled, own = rates(counts.sum(axis=0)), rates(counts)
     return [
         PixelScore(float(t), float(p), float(r), float(f1), float(mean_f1))
         for t, (p, r, f1), mean_f1 in zip(thresholds, pooled, own[..., 2].mean(axis=0), strict=True)
     ]
 
 
-def _rates(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+def rates(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     """(..., 3) precision, recall, F1 from (..., 4) counts."""
     precision = counts[..., 0] / np.maximum(counts[..., 1], 1)
     recall = counts[..., 2] / np.maximum(counts[..., 3], 1)

@@ -14,13 +14,21 @@ if TYPE_CHECKING:
 
 
 def confidence_map(segments: Segments, width_px: int = 1) -> NDArray[np.float32]:
-    """(H, W) float32: 8-connected Bresenham lines, each pixel with the highest score of those through it."""
+    """(H, W) float32: 8-connected Bresenham lines, each pixel with the highest score of those through it.
+
+    A line of width W is W lines of one pixel side by side, across its steeper axis: exactly W pixels in
+    each column, or in each row. (OpenCV's own thick lines are wider than they are asked to be.)
+    """
     drawn = np.zeros(segments.image_size, np.float32)
     last = np.array([segments.image_size[1] - 1, segments.image_size[0] - 1] * 2)
     pixels = np.clip(np.floor(segments.endpoints).astype(int), 0, last)
     for i in np.argsort(segments.scores, kind="stable"):  # the strongest last, on top
         x1, y1, x2, y2 = pixels[i].tolist()
-        cv2.line(drawn, (x1, y1), (x2, y2), float(segments.scores[i]), width_px, cv2.LINE_8)
+        is_flat = abs(x2 - x1) >= abs(y2 - y1)
+        for shift in range(-((width_px - 1) // 2), width_px // 2 + 1):
+            dx, dy = (0, shift) if is_flat else (shift, 0)
+            ends = (x1 + dx, y1 + dy), (x2 + dx, y2 + dy)
+            cv2.line(drawn, *ends, float(segments.scores[i]), 1, cv2.LINE_8)
     return drawn
 
 

@@ -89,6 +89,14 @@ class Lines:
         keep = np.flatnonzero(self.scores >= min_score)
         return Lines(tuple(self.points[i] for i in keep), self.scores[keep], self.image_size)
 
+    def pieces(self) -> Segments:
+        """The straight pieces of all lines, in order, each with the score of its line."""
+        if not len(self):
+            return Segments.empty(self.image_size)
+        ends = np.concatenate([np.hstack([points[:-1], points[1:]]) for points in self.points])
+        scores = np.repeat(self.scores, [len(points) - 1 for points in self.points])
+        return Segments(ends.astype(np.float32), scores.astype(np.float32), self.image_size)
+
     def scaled_to(self, image_size: tuple[int, int]) -> Lines:
         """The same lines in the pixels of the image resized to (height, width)."""
         if image_size == self.image_size:

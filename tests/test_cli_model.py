@@ -94,6 +94,32 @@ def test_eval_of_sets_with_and_without_truth(tmp_path: Path) -> None:
     assert "at score 0.60" in text
 
 
+def test_eval_tells_lines_the_papers_scores_and_drawn_images(tmp_path: Path) -> None:
+    write_masks(tmp_path / "m")
+    photos(tmp_path / "plain")
+    words = ("eval", "m", "plain", "--use", "lines", "--paper", "--synthetic", 2, "--json", *TINY_RUN)
+    result = run(*words)
+    assert (result.exit_code, result.stderr) == (0, "")
+    told = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [("ods" in t, "apr" in t, "reported" in t, "sap10" in t).index(True) for t in told] == [
+        *(0, 0, 0),
+        *[1] * 10,
+        *(2, 3),
+    ]
+    assert told[-1]["images"] == 2
+    assert "with a reported line" in run("eval", "plain", "--use", "lines", *TINY_RUN).stdout
+
+
+def test_eval_of_a_rival(tmp_path: Path) -> None:
+    write_masks(tmp_path / "m")
+    told = [json.loads(line) for line in run("eval", "m", "--rival", "lsd", "--json").stdout.splitlines()]
+    assert told[0]["ods"]["recall"] == 1  # the edges of the band are within its half width
+
+
+def test_eval_of_nothing_is_one_line() -> None:
+    assert "give folders of images, or --synthetic" in str(run("eval", *TINY_RUN).exception)
+
+
 def test_eval_of_no_images_is_one_line() -> None:
     result = run("eval", "none", *TINY_RUN)
     assert isinstance(result.exception, LSNetError)

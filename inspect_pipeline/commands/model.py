@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,6 @@ from inspect_pipeline.commands.options import JsonOption, RuntimeOption, Weights
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
-    from lsnet.evaluate import PixelReport, ShareReport
     from lsnet.train import Progress
 
 app = typer.Typer(
@@ -22,19 +22,20 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
+BackgroundOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="DIR[:FIRST]",
+        help="Photographs without lines to draw on; FIRST takes so many, by name. May be repeated.",
+    ),
+]
 RunOption = Annotated[Path, typer.Option("--run", metavar="DIR", help="The folder of the run.")]
 
 
 @app.command()
 def train(
     run: RunOption,
-    background: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DIR[:FIRST]",
-            help="Photographs without lines to draw on; FIRST takes so many, by name. May be repeated.",
-        ),
-    ] = None,
+    background: BackgroundOption = None,
     data: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Labelled images instead of drawn ones.")
     ] = None,
@@ -116,33 +117,53 @@ def export(
     typer.echo(f"{output}: {name}, sha256 {sha256}")
 
 
+class Use(StrEnum):
+    """What of the detections is scored."""
+
+    SEGMENTS = "segments"
+    LINES = "lines"
+
+
+class Rival(StrEnum):
+    """Detectors of others that can be scored the same way."""
+
+    LSD = "lsd"
+
+
 @app.command(name="eval")
 def evaluate(
-    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Evaluation sets.")],
+    folders: Annotated[list[Path] | None, typer.Argument(metavar="DIR...", help="Evaluation sets.")] = None,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
+    use: Annotated[Use, typer.Option(help="Score raw segments or merged lines.")] = Use.SEGMENTS,
     min_score: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="Also score at this; else the weights' own.")
     ] = None,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="The paper's ARR, APR and F1 too, by width of lines.")
+    ] = False,
+    synthetic: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Also score N drawn images: sAP, and cable by cable.")
+    ] = 0,
+    background: BackgroundOption = None,
+    rival: Annotated[Rival | None, typer.Option(help="Score this detector instead of weights.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score weights on folders of images, at the images' own size.
 
     A folder holds ID.jpg with ID.boundary.png (contours of the cables), images/ with masks/, or plain images,
-    of which the share with a reported segment is told. ODS is the best F1 over score thresholds.
+    of which the share with a reported segment or line is told. ODS is the best F1 over score thresholds.
 
-    Example: lsnet-pipe model eval photos/with_masks photos/without_lines
+    Example: lsnet-pipe model eval photos/with_masks photos/without_lines --use lines
+
+    Example: lsnet-pipe model eval --synthetic 200 --background photos/without_lines
     """
-    from lsnet import Detector, load_weights
-    from lsnet.evaluate import evaluate as evaluate_folder
-    from lsnet.truth import images_of
+    from lsnet.evaluate_all import EvalTask, evaluate_all, open_finder
 
-    own = load_weights(weights).card.min_score if min_score is None else min_score
-    detector = Detector.load(weights, runtime=runtime, scale=1.0, min_score=0.05)
-    reports: list[PixelReport | ShareReport] = []
-    with progress_bar("eval", sum(len(images_of(folder)[1]) for folder in folders)) as advance:
-        for folder in folders:
-            reports += evaluate_folder(detector, folder, min_score=own, on_image=advance)
+    task = EvalTask(tuple(folders or ()), use.value, paper, synthetic, tuple(background or ()))
+    finder, own = open_finder(weights, runtime, rival.value if rival else None)
+    with progress_bar("eval", task.count_images()) as advance:
+        reports = evaluate_all(finder, task, own if min_score is None else min_score, on_image=advance)
     for report in reports:
         typer.echo(json.dumps(report.to_dict()) if as_json else str(report))
 

@@ -146,3 +146,18 @@ def made_up(contours: NDArray[np.bool_], seed: int) -> NDArray[np.float32]:
     scores = np.concatenate([rng.uniform(0.3, 1, len(near)), rng.uniform(0.05, 0.6, 6)])
     endpoints = np.clip(np.vstack([near, anywhere]), 0, [width - 0.01, height - 0.01] * 2)
     return np.column_stack([endpoints, scores]).astype(np.float32)
+
+
+def test_lines_are_scored_by_their_pieces(tmp_path: Path) -> None:
+    class SaysLines:
+        def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
+            size = images[0].shape[:2]
+            bent = np.array([[0, 30.5], [40, 31.5], [80, 30.5]], np.float32)
+            lines = Lines((bent,), np.array([0.7], np.float32), size)
+            return [Detections(Segments.empty(size), lines) for _ in images]
+
+    report = evaluate(SaysLines(), write_set(tmp_path), min_score=0.5, use="lines")[0]
+    assert isinstance(report, PixelReport)
+    assert report.at_min_score.f1 == pytest.approx(1)
+    raw = evaluate(SaysLines(), tmp_path, min_score=0.5)[0]
+    assert raw.at_min_score.f1 == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lsnet.segmap import confidence_map, otsu_mask, smoothed
 from lsnet.segments import Segments
@@ -51,3 +52,13 @@ def test_otsu_parts_strong_lines_from_weak_ones() -> None:
     mask = otsu_mask(drawn)
     assert mask[5].all()
     assert not mask[1].any()
+
+
+@pytest.mark.parametrize("width_px", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("ends", [(5, 30, 75, 30), (5, 10, 75, 45), (40, 5, 40, 55), (30, 5, 45, 55)])
+def test_lines_are_as_wide_as_asked(width_px: int, ends: tuple[int, ...]) -> None:
+    segments = Segments(np.array([ends], np.float32) + 0.5, np.ones(1, np.float32), (60, 80))
+    drawn = confidence_map(segments, width_px) > 0
+    is_flat = abs(ends[2] - ends[0]) >= abs(ends[3] - ends[1])
+    across = drawn.sum(axis=0) if is_flat else drawn.sum(axis=1)
+    assert set(across[across > 0].tolist()) == {width_px}

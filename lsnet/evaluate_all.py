@@ -1,0 +1,79 @@
+"""All that `model eval` tells of one detector, in one go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from lsnet.detector import Detector
+from lsnet.errors import LSNetError
+from lsnet.evaluate import evaluate
+from lsnet.evaluate_cables import evaluate_cables
+from lsnet.paper_scores import evaluate_as_paper
+from lsnet.recipe import VALIDATION_SEED
+from lsnet.rivals.lsd import LSD
+from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
+from lsnet.synth.dataset import SyntheticScenes
+from lsnet.truth import images_of
+from lsnet.weights import load_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from lsnet.evaluate import Finder, Use
+
+EVALUATION_SEED = 2 * VALIDATION_SEED  # no drawn image is trained or validated on
+
+
+class Report(Protocol):
+    """One line of the table."""
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values for JSON."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class EvalTask:
+    """What to score on: folders, by the paper's scores too or not, and so many drawn images."""
+
+    folders: tuple[Path, ...]
+    use: Use
+    paper: bool
+    synthetic: int
+    backgrounds: tuple[str, ...]
+
+    def count_images(self) -> int:
+        """How many images will be looked at. Raises LSNetError for a folder without, or nothing to do."""
+        if not self.folders and not self.synthetic:
+            raise LSNetError("nothing to evaluate on; give folders of images, or --synthetic")
+        return sum(len(images_of(folder)[1]) for folder in self.folders) * (1 + self.paper) + self.synthetic
+
+
+def open_finder(weights: str, runtime: str, rival: str | None) -> tuple[Finder, float]:
+    """What is to be scored, telling all from score 0.05 up, and its own threshold."""
+    if rival == "lsd":
+        return LSD(), LSD.min_score
+    own = load_weights(weights).card.min_score
+    return Detector.load(weights, runtime=runtime, scale=1.0, min_score=0.05), own
+
+
+def evaluate_all(
+    finder: Finder, task: EvalTask, min_score: float, on_image: Callable[[], None] = lambda: None
+) -> list[Report]:
+    """The table, line by line: the folders in order, then the drawn images."""
+    reports: list[Report] = []
+    for folder in task.folders:
+        reports += evaluate(finder, folder, min_score=min_score, use=task.use, on_image=on_image)
+        if task.paper:
+            reports += evaluate_as_paper(finder, folder, use=task.use, on_image=on_image)
+    if task.synthetic:
+        pool = BackgroundPool([BackgroundFolder.parse(text) for text in task.backgrounds])
+        scenes = SyntheticScenes(pool, seed=EVALUATION_SEED)
+        reports.append(
+            evaluate_cables(
+                finder, scenes, task.synthetic, min_score=min_score, use=task.use, on_image=on_image
+            )
+        )
+    return reports

@@ -7,7 +7,7 @@ INSTALLED := $(VENV)/.installed
 LSNET_PIPE := $(BIN)/lsnet-pipe
 DEMO_STORE := --store demo/store
 
-.PHONY: help demo test lint types contracts wheel slow reliability reliability-short bench clean
+.PHONY: help demo test lint types contracts wheel slow reliability reliability-short bench bench-tracks clean
 
 help:
 	@echo "make demo       simulate a flight, process it, ask three questions, draw a picture"
@@ -18,6 +18,7 @@ help:
 	@echo "make wheel      build the wheel, use it in a new environment"
 	@echo "make slow       the tests that take minutes, npm or much disk"
 	@echo "make bench      speed and memory against what else does the same, some minutes"
+	@echo "make bench-tracks         lines followed over simulated flights, beside the nearest neighbour"
 	@echo "make reliability-short    kills, stops and repeats of batches, a few minutes"
 	@echo "make reliability          the same with 500 kills and 10,000 recordings, hours"
 	@echo "make clean      remove what was built, but not $(VENV)"
@@ -71,6 +72,10 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_help.py
 	$(BIN)/python benchmarks/bench_encode.py
 	$(BIN)/python benchmarks/bench_append.py
+	$(BIN)/python benchmarks/bench_store.py
+
+bench-tracks: $(INSTALLED)
+	$(BIN)/python benchmarks/bench_tracks.py
 
 clean:
 	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.store import Store, StoredFlight
 
 _FLIGHTS_PER_INSERT = 256
+_HEADER_BYTES = 3 * 4096  # in front of the blocks
 
 # Files of this storage version are read by DuckDB 1.5 and 2 alike.
 _CONFIG: dict[str, str | bool | int | float | list[str]] = {
@@ -181,11 +182,17 @@ def _published(path: Path) -> dict[str, str] | None:
             if found > len(MIGRATIONS):
                 problem = f"index version {found}, this program knows {len(MIGRATIONS)}"
                 raise StoreVersionError(path, problem, "upgrade lsnet-pipe")
-            if found == 0:
+            if found == 0 or path.stat().st_size < _size_bytes(connection):
                 return None
             return dict(connection.execute("SELECT flight_id, result_sha256 FROM flights").fetchall())
     except duckdb.Error:
         return None
+
+
+def _size_bytes(connection: duckdb.DuckDBPyConnection) -> int:
+    """How large the file of a database must be; DuckDB reads one that was cut, until a block is missing."""
+    row = connection.execute("SELECT total_blocks * block_size FROM pragma_database_size()").fetchone()
+    return _HEADER_BYTES + int(row[0]) if row else 0
 
 
 def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Path]) -> IndexChange:

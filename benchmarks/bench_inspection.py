@@ -2,12 +2,13 @@
 
     python benchmarks/bench_inspection.py [--seeds 20] [--first-seed 1000] [--jobs 2] [--kinds blur dark ...]
 
-Of each kind of anomaly one case a seed is planted into a flight of 40 s at 4 frames a second, and as many
-flights have none. The true lines are disturbed: 2 px of noise on every point, one in ten missed, one false
-line a frame. They go the way of all lines, over parquet files and the index. A hit is an anomaly of the kind
-whose interval and that of the truth have an intersection of at least half their union. Coverage is measured on
-the flights without faults, by true and by disturbed lines. With LSNET_PIPE_DATA, two real flights without lines
-are processed. The exit code is 1 when a bar is missed; the last line is one JSON object.
+Of each kind of anomaly one case a seed is planted into a flight of 40 s at 4 frames a second, and as
+many flights have none. The true lines are disturbed: 2 px of noise on every point, one in ten missed,
+one false line a frame. They go the way of all lines, over parquet files and the index. A hit is an
+anomaly of the kind whose interval and that of the truth have an intersection of at least half their
+union. Coverage is measured on the flights without faults, by true and by disturbed lines. With
+LSNET_PIPE_DATA, two real flights without lines are processed. The exit code is 1 when a bar is missed;
+the last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
 import inspected
 
 from inspect_pipeline import index

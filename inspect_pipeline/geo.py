@@ -117,13 +117,3 @@ def _turns(axes: Floats) -> YawPitchRoll:
     else:
         yaw_rad, roll_rad = np.arctan2(ahead[0], ahead[1]), np.arctan2(-right[2], -down[2])
     return YawPitchRoll(*(float(np.degrees(turn)) for turn in (yaw_rad, pitch_rad, roll_rad)))
-
-
-def pixel_motion(
-    before: YawPitchRoll, after: YawPitchRoll, focal_px: float, image_size: tuple[int, int]
-) -> Floats:
-    """(3, 3) homography: where pixels go when a camera turns about its place, its axis in the middle."""
-    height, width = image_size
-    lens = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
-    motion: Floats = lens @ camera_axes(after) @ camera_axes(before).T @ np.linalg.inv(lens)
-    return motion

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.attitude import YawPitchRoll
-from inspect_pipeline.geo import pixel_motion
 from inspect_pipeline.tracks import LineTracker, Moment
+from inspect_pipeline.tracks_motion import UnsteadyTurn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,14 +44,11 @@ class FlightTracker:
 class _CameraTracker:
     def __init__(self) -> None:
         self.tracker = LineTracker()
-        self._turns: YawPitchRoll | None = None
+        self._turn = UnsteadyTurn()
 
     def follow(self, moment: Moment, lines: Lines, place: FramePlace) -> NDArray[np.int32]:
         chords = np.array([(*points[0], *points[-1]) for points in lines.points]).reshape(-1, 4)
-        before, self._turns = self._turns, _turns(place)
-        motion = None
-        if before and self._turns and place.focal_px:
-            motion = pixel_motion(before, self._turns, place.focal_px, moment.image_size)
+        motion = self._turn.update(_turns(place), moment.time_ns, place.focal_px, moment.image_size)
         return self.tracker.update(moment, chords, lines.scores, motion)
 
 

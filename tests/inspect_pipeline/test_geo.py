@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pyproj
@@ -109,13 +112,23 @@ def test_moves_agree_with_a_map_projection() -> None:
     assert to_metres(*there[::-1]) == pytest.approx((120.0, -340.0), abs=1e-3)
 
 
-@given(TURNS, TURNS, st.floats(0, 1280), st.floats(0, 720))
-def test_pixels_move_as_far_things_do(before: YawPitchRoll, after: YawPitchRoll, x: float, y: float) -> None:
-    ray = geo.pixel_rays(LENS, before, (x, y))[0]
-    depth = geo.camera_axes(after)[2] @ ray
-    if depth > 0.05:
-        moved = geo.pixel_motion(before, after, 1000.0, (720, 1280)) @ (x, y, 1)
-        assert moved[:2] / moved[2] == pytest.approx(project(after, ray * 1e3), abs=1e-2)
+def test_the_table_of_errors_is_what_the_functions_say() -> None:
+    """docs/inspection.md, Places: from 50 m, how far the middle of the image shifts on the ground."""
+    text = (Path(__file__).parents[2] / "docs" / "inspection.md").read_text(encoding="utf-8")
+    _, _, *rows = re.search(r"\| pitch \|.*?\n\n", text, re.DOTALL).group().strip().splitlines()
+
+    def place(pitch_deg: float, yaw_deg: float = 0.0, height_m: float = 50.0) -> np.ndarray:
+        return geo.meet_ground(geo.pixel_rays(LENS, YawPitchRoll(yaw_deg, pitch_deg, 0.0), MIDDLE), height_m)[
+            0, :2
+        ]
+
+    assert len(rows) == 4
+    for row in rows:
+        pitch_deg, *told = (float(cell.strip().removesuffix(" m")) for cell in row.strip("|").split("|"))
+        shifted = [place(pitch_deg + error) for error in (0.5, 1, 2)]
+        shifted += [place(pitch_deg, yaw_deg=1), place(pitch_deg, height_m=51)]
+        found = [np.linalg.norm(there - place(pitch_deg)) for there in shifted]
+        assert found == pytest.approx(told, abs=0.0051)
 
 
 def test_lenses_of_a_view_and_of_smaller_pictures() -> None:

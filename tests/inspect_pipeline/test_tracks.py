@@ -13,13 +13,14 @@ import pytest
 from flights import START_NS, flight_id_of
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from inspect_pipeline.attitude import YawPitchRoll
-from inspect_pipeline.geo import pixel_motion
 from inspect_pipeline.placing import FramePlace
 from inspect_pipeline.tables import FlightWriter
 from inspect_pipeline.tracks import LineTracker, Moment
 from inspect_pipeline.tracks_filter import Measured, Pace
+from inspect_pipeline.tracks_motion import UnsteadyTurn
 from inspect_pipeline.types import Frame
 from lsnet.segments import Detections, Lines, Segments
 
@@ -112,25 +113,56 @@ def test_a_turn_past_the_vertical_is_no_jump() -> None:
     assert row.mean_angle_deg == pytest.approx(99, abs=2)
 
 
+def seen_by(turns: YawPitchRoll, rays: np.ndarray) -> np.ndarray:
+    """(N, 2) pixels of directions in north, east, down, by SciPy's rotation; 900 px of focal length."""
+    body = Rotation.from_euler("ZYX", turns, degrees=True).inv().apply(rays)
+    return 900 * body[:, 1:] / body[:, :1] + (640, 360)
+
+
+def far_rays() -> np.ndarray:
+    """Both ends of five lines side by side, as a camera that looks north sees them."""
+    x = np.repeat([560.0, 600.0, 640.0, 680.0, 720.0], 2)
+    y = np.tile([0.0, 720.0], 5)
+    return np.column_stack((np.ones(10), (x - 640) / 900, (y - 360) / 900))
+
+
 def test_the_turn_of_the_camera_is_undone() -> None:
     """The camera yaws by 4 degrees a frame, to and fro: 60 px, one and a half times between the lines."""
-    yaws = [4.0 * (i % 2) for i in range(12)]
-    turned = [YawPitchRoll(yaw, 0.0, 0.0) for yaw in yaws]
-    upright = [np.array([x, 0.0, x, 720.0]) for x in (560, 600, 640, 680, 720)]
 
     def follow(*, with_motion: bool) -> list[list[int]]:
-        tracker, ids = LineTracker(), []
-        for i, turns in enumerate(turned):
-            seen = pixel_motion(turned[0], turns, 900.0, SIZE)
-            ends = [seen @ (*chord[[j, j + 1]], 1) for chord in upright for j in (0, 2)]
-            chords = np.array([end[:2] / end[2] for end in ends]).reshape(-1, 4)
-            motion = pixel_motion(turned[max(i - 1, 0)], turns, 900.0, SIZE) if with_motion else None
+        tracker, turn, ids = LineTracker(), UnsteadyTurn(), []
+        for i in range(12):
+            turns = YawPitchRoll(4.0 * (i % 2), 0.0, 0.0) if i > 3 else YawPitchRoll(0.0, 0.0, 0.0)
+            motion = turn.update(turns, moment(i).time_ns, 900.0 if with_motion else None, SIZE)
+            chords = seen_by(turns, far_rays()).reshape(-1, 4)
             ids.append(tracker.update(moment(i), chords, np.ones(5), motion).tolist())
         return ids
 
     with_motion, without = follow(with_motion=True), follow(with_motion=False)
     assert all(found == [0, 1, 2, 3, 4] for found in with_motion)
     assert any(found != before for before, found in pairwise(without))
+
+
+def test_a_turn_moves_pixels_as_far_things_move() -> None:
+    """After seconds of rest, a turn about all axes."""
+    turn, rest, after = UnsteadyTurn(), YawPitchRoll(30.0, -40.0, 3.0), YawPitchRoll(33.0, -38.0, 1.0)
+    motions = [turn.update(rest, moment(i).time_ns, 900.0, SIZE) for i in range(5)]
+    assert motions[0] is None
+    assert all(motion == pytest.approx(np.eye(3), abs=1e-9) for motion in motions[1:])
+    motion = turn.update(after, moment(5).time_ns, 900.0, SIZE)
+    rays = Rotation.from_euler("ZYX", rest, degrees=True).apply(far_rays())
+    moved = np.column_stack((seen_by(rest, rays), np.ones(10))) @ motion.T
+    assert moved[:, :2] / moved[:, 2:] == pytest.approx(seen_by(after, rays), abs=1e-6)
+
+
+def test_a_steady_turn_is_left_to_the_tracks() -> None:
+    turn = UnsteadyTurn()
+    motions = [
+        turn.update(YawPitchRoll(2.0 * i, -30.0, 0.0), moment(i).time_ns, 900.0, SIZE) for i in range(8)
+    ]
+    assert all(motion == pytest.approx(np.eye(3), abs=1e-6) for motion in motions[1:])
+    assert turn.update(None, moment(8).time_ns, 900.0, SIZE) is None
+    assert turn.update(YawPitchRoll(0.0, 0.0, 0.0), moment(9).time_ns, 900.0, SIZE) is None  # it begins anew
 
 
 def test_a_flight_without_lines_has_no_tracks() -> None:

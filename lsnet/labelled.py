@@ -14,13 +14,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
-from lsnet.synth.augment import augment
 from lsnet.synth.backgrounds import SUFFIXES, load_rgb
+from lsnet.synth.conditions import augment_further
 from lsnet.synth.dataset import Sample
+from lsnet.synth.geometric import affine
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -126,7 +126,7 @@ class LabelledScenes:
         rng = np.random.default_rng([self._seed, index])
         which = int(rng.integers(len(self._images)))
         pixels, lines = zoom_and_turn(self._pixels[which], self._images[which].lines, rng, self.size)
-        pixels, lines = augment(pixels, lines, rng)
+        pixels, lines = augment_further(pixels, lines, rng)
         return Sample(np.clip(np.round(pixels), 0, 255).astype(np.uint8), lines)
 
 
@@ -135,8 +135,7 @@ def zoom_and_turn(
 ) -> tuple[NDArray[np.float32], list[Points]]:
     """A (size, size) float32 crop at a random place, zoom, angle and mirroring, with its lines.
 
-    One affine map takes image and lines; pixel centres are at i + 0.5, which OpenCV does not count in. Beyond
-    the image all is of its mean colour: mirrored lines would be lines without labels.
+    One affine map takes image and lines. Beyond the image all is of its mean colour.
     """
     height, width = image.shape[:2]
     zoom = np.exp(rng.uniform(np.log(0.7), np.log(1.6))) * max(1.0, size / min(height, width))
@@ -146,7 +145,4 @@ def zoom_and_turn(
         turn = turn @ np.diag([-1.0, 1.0])
     centre = np.array([rng.uniform(0.2, 0.8) * width, rng.uniform(0.2, 0.8) * height])
     shift = np.array([size / 2, size / 2]) - turn @ centre
-    matrix = np.column_stack([turn, shift + turn @ np.array([0.5, 0.5]) - 0.5])
-    mean = image.mean(axis=(0, 1)).tolist()
-    crop = cv2.warpAffine(image, matrix, (size, size), flags=cv2.INTER_LINEAR, borderValue=mean)
-    return crop.astype(np.float32), [line @ turn.T + shift for line in lines]
+    return affine(image, lines, turn, shift, (size, size))

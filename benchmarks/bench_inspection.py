@@ -27,9 +27,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-import inspected
-
 from inspect_pipeline import index
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.pipeline import process
@@ -39,6 +36,9 @@ from inspect_pipeline.simulate_truth import truth_of
 from inspect_pipeline.spans import import_spans
 from inspect_pipeline.store import Store
 from lsnet import Detector
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+import inspected  # after lsnet, of which the tests have a folder too
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -69,7 +69,7 @@ def _odd(rows: Sequence[dict[str, Any]], dismissed: set[str], rules: Rules) -> I
 def _unseen(rows: Sequence[dict[str, Any]], rules: Rules) -> Iterator[Failure]:
     for row in rows:
         rule = f"min_{row['kind']}_share"
-        if row["share"] is not None and row["share"] < rules.check[rule]:
+        if row["share"] is not None and row["share"] < rules.check.get(rule, 0.0):
             what = f"of span {row['span_id']} seen" if row["span_id"] else "of the frames are usable"
             limit = f"{100 * rules.check[rule]:.1f} % is asked for"
             yield Failure(row["flight_id"], rule, f"{100 * row['share']:.1f} % {what}, {limit}", None)

@@ -1,0 +1,185 @@
+"""From flights to a verdict on the command line: spans, anomalies, check, flights, named queries."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import flights as made
+import inspected
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cli
+from inspect_pipeline import index
+from inspect_pipeline.errors import QueryError, StoreError
+from inspect_pipeline.named_queries import named_queries
+from inspect_pipeline.simulate_options import FaultKind, SimulationOptions
+from inspect_pipeline.simulate_truth import simulate_truth
+from inspect_pipeline.spans import import_spans
+from inspect_pipeline.store import Store
+from inspect_pipeline.told import load_reviews, load_tags
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FAULTS = (FaultKind.MISSING_CONDUCTOR, FaultKind.DARK)
+TRUTH = simulate_truth(SimulationOptions(16, 4, seed=11, faults=FAULTS))
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    store = Store(tmp_path_factory.mktemp("template"))
+    inspected.write_truth(store, "faulty", TRUTH)
+    inspected.write_truth(store, "disturbed", TRUTH, np.random.default_rng(1))
+    made.write_flight(store, "old", 3)
+    index.publish(store)
+    return store
+
+
+@pytest.fixture
+def store(tmp_path: Path, template: Store, monkeypatch: pytest.MonkeyPatch) -> Store:
+    store = Store(shutil.copytree(template.root, tmp_path / "inspections"))
+    monkeypatch.setenv("LSNET_PIPE_STORE", str(store.root))
+    return store
+
+
+def run(*arguments: str, code: int = 0) -> str:
+    done = CliRunner().invoke(cli.app, list(arguments))
+    assert done.exit_code == code, done.output + repr(done.exception)
+    return done.output
+
+
+def rows(*arguments: str, code: int = 0) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in run(*arguments, "--json", code=code).splitlines()]
+
+
+def import_towers(store: Store, folder: Path) -> None:
+    """As people do, from a table."""
+    lines = [f"{s.structure_id},{s.lat_deg!r},{s.lon_deg!r},11.7" for s in TRUTH.structures]
+    (folder / "towers.csv").write_text("\n".join(["structure_id,latitude,longitude,height_m", *lines]))
+    told = run("spans", "import", str(folder / "towers.csv"), "--conductors", "4")
+    assert told == f"{len(TRUTH.spans)} spans imported; the store has {len(TRUTH.spans)}\n"
+
+
+def test_importing_spans_measures_all_flights_again(store: Store, tmp_path: Path) -> None:
+    """The spans' coverage is that of the truth, within the metre of a bin; the missing conductor is found."""
+    assert not index.select(store, "SELECT * FROM span_coverage")
+    assert {row["kind"] for row in rows("anomalies", "list")} == {"dark_frames"}
+    import_towers(store, tmp_path)
+    assert [row["span_id"] for row in rows("spans", "list")] == [span.span_id for span in TRUTH.spans]
+    found = index.select(store, "SELECT span_id, share FROM span_coverage WHERE flight_id = ?", [FAULTY])
+    assert len(found) >= 3
+    for row in found:
+        assert row["share"] == pytest.approx(TRUTH.span_coverage[row["span_id"]], abs=0.03)
+    odd = [row for row in rows("anomalies", "list", "--flight", FAULTY[:10]) if row["kind"] != "dark_frames"]
+    planted = next(fault for fault in TRUTH.faults if fault.span_id)
+    assert [(row["kind"], row["span_id"], row["value"]) for row in odd] == [
+        ("conductor_count", planted.span_id, 3)
+    ]
+
+
+FAULTY = made.flight_id_of("faulty")
+
+
+def test_a_review_lasts_and_settles_the_check(store: Store) -> None:
+    import_spans(store, inspected.spans_of(TRUTH))
+    index.publish(store)
+    failures = rows("check", "--flight", FAULTY[:8], code=4)
+    assert {row["rule"] for row in failures} == {"conductor_count", "min_frame_share"}
+    odd = next(row["anomaly_id"] for row in failures if row["anomaly_id"])
+    assert run("anomalies", "mark", odd, "dismissed", "--note", "it ends here") == f"{odd} dismissed\n"
+    assert {row["rule"] for row in rows("check", "--flight", FAULTY[:8], code=4)} == {"min_frame_share"}
+    assert odd not in {row["anomaly_id"] for row in rows("anomalies", "list")}
+    assert "[dismissed: it ends here]" in run("anomalies", "list", "--all")
+    inspected.write_truth(store, "faulty", TRUTH, np.random.default_rng(5))  # by another model, as it were
+    index.publish(store)
+    for _ in range(2):
+        (row,) = index.select(
+            store, "SELECT verdict, note FROM reviewed_anomalies WHERE anomaly_id = ?", [odd]
+        )
+        assert row == {"verdict": "dismissed", "note": "it ends here"}
+        index.rebuild(store)
+    run("anomalies", "mark", odd, "confirmed")
+    assert [(one.anomaly_id, one.verdict) for one in load_reviews(store)] == [(odd, "confirmed")]
+    assert "conductor_count" in {row["rule"] for row in rows("check", code=4)}
+    run("anomalies", "mark", "none", "confirmed", code=2)
+
+
+def test_check_by_other_rules(store: Store, tmp_path: Path) -> None:
+    lenient, strict = tmp_path / "lenient.toml", tmp_path / "strict.toml"
+    lenient.write_text("[check]\nfail_on = []\nmin_frame_share = 0.1\n")
+    assert run("check", "--rules", str(lenient)) == "3 flights pass\n"
+    strict.write_text("[check]\nfail_on = ['dark_frames']\n[anomalies.dark_frames]\nmin_frames = 1\n")
+    assert {row["rule"] for row in rows("check", "--rules", str(strict), code=4)} >= {"dark_frames"}
+    (store.root / "rules.toml").write_text("[check]\nfail_on = []\nmin_frame_share = 0.1\n")
+    index.publish(store)
+    assert rows("check") == []
+
+
+def test_rules_of_the_store_are_those_of_the_index(store: Store) -> None:
+    before = index.select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
+    (store.root / "rules.toml").write_text("[frames]\ndark_below_luma = 1.0\n")
+    assert any("rules" in problem for problem in index.verify(store))
+    index.publish(store)
+    assert before
+    assert not index.select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
+    assert index.verify(store) == ()
+
+
+def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
+    assert len(rows("flights", "list")) == 3
+    run("flights", "tag", FAULTY[:9], "line=L12", "pilot=kim")
+    run("flights", "tag", FAULTY[:9], "pilot=")
+    (told,) = rows("flights", "show", FAULTY[:9])
+    assert (told["flight_id"], told["tags"], told["n_frames"]) == (FAULTY, {"line": "L12"}, 64)
+    assert "line=L12" in run("flights", "list")
+    assert index.select(store, "SELECT * FROM flight_tags") == [
+        {"flight_id": FAULTY, "key": "line", "value": "L12"}
+    ]
+    assert run("flights", "rm", FAULTY) == f"{FAULTY} removed\n"
+    assert not store.flight_dir(FAULTY).exists()
+    assert len(rows("flights", "list")) == 2
+    assert index.verify(store) == ()
+    for table in ("coverage", "coverage_bins", "coverage_gaps", "anomalies", "conductor_counts"):
+        assert not index.select(store, f"SELECT * FROM {table} WHERE flight_id = ?", [FAULTY])
+    run("flights", "tag", made.flight_id_of("old"), "nothing", code=2)
+    for beginning, words in (("zz", "not the beginning"), ("0123456789ab", "no flight begins")):
+        with pytest.raises(QueryError, match=words):
+            CliRunner().invoke(cli.app, ["flights", "show", beginning], catch_exceptions=False)
+
+
+def test_named_queries(store: Store) -> None:
+    for name, query in named_queries().items():
+        values = [f"--param={parameter}={FAULTY[:8]}" for parameter in query.parameters]
+        assert query.purpose
+        assert f"{name}" in run("query", "--named", "list")
+        assert run("query", "--named", name, "--show-sql") == query.sql.rstrip() + "\n"
+        assert "rows)" in run("query", "--named", name, *values)
+    run("query", "--named", "flights", "SELECT 1", code=2)
+    run("query", code=2)
+    for arguments, words in (
+        (["none"], "there are anomalies"),
+        (["coverage"], "needs --param flight"),
+        (["flights", "--param", "x=1"], "needs no --param"),
+    ):
+        with pytest.raises(QueryError, match=words):
+            CliRunner().invoke(cli.app, ["query", "--named", *arguments], catch_exceptions=False)
+
+
+def test_values_of_named_queries_are_values(store: Store) -> None:
+    sql = named_queries()["gaps"].with_values({"flight": "a'); DROP TABLE flights; --"})
+    assert "'a''); DROP TABLE flights; --'" in sql
+
+
+def test_what_was_told_survives_a_torn_line(store: Store) -> None:
+    run("flights", "tag", FAULTY, "a=1")
+    with (store.root / "tags.jsonl").open("a") as file:
+        file.write('{"flight_id": "x", "ke')
+    run("flights", "tag", FAULTY, "b=2")
+    assert {(tag.key, tag.value) for tag in load_tags(store)} == {("a", "1"), ("b", "2")}
+    (store.root / "tags.jsonl").write_text('{"something": "else"}\n')
+    with pytest.raises(StoreError, match="no tag"):
+        load_tags(store)

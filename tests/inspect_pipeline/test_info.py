@@ -35,3 +35,20 @@ def test_poses_lenses_and_what_is_odd_are_shown(tmp_path: Path) -> None:
         "odd       its log times look like microseconds instead of nanoseconds",
         f"process   {CAMERA}",
     ]
+
+
+def test_the_parts_of_a_split_recording_are_shown_one_after_another(tmp_path: Path) -> None:
+    for i in range(2):
+        with new_recording(tmp_path / f"f_{i}.mcap") as author:
+            author.write_image(CAMERA, START_NS + i, "cam", encoded_picture(i), "png")
+    app = typer.Typer()
+    app.command()(info)
+
+    lines = CliRunner().invoke(app, [str(tmp_path)]).stdout.splitlines()
+    assert lines[0].startswith("flight    ")
+    assert lines[0].endswith(", of 2 parts:")
+    assert [line.split()[1] for line in lines if line.startswith("file")] == [
+        f"{tmp_path}/f_0.mcap",
+        f"{tmp_path}/f_1.mcap",
+    ]
+    assert lines.count(f"process   {CAMERA}") == 2

@@ -328,6 +328,7 @@ def test_errors_of_the_detector_are_one_line(
         ["process", "a.mcap", "--every", "0"],
         ["process", "a.mcap", "--start", "yesterday"],
         ["simulate", "a.mcap", "--size", "big"],
+        ["simulate", "a.mcap", "--fault", "gremlins"],
         ["query", "SELECT 1", "--format", "xml"],
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -13,7 +14,11 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from mcap.reader import make_reader
 
+import cli
 from inspect_pipeline.errors import OutputError
+from inspect_pipeline.quality import measure_quality
+from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.simulate import SimulationOptions, simulate_flight
 from inspect_pipeline.simulate_line import hang_line
 from inspect_pipeline.simulate_scene import Gaze, look, visible_parts
@@ -123,3 +128,35 @@ def test_what_is_seen_ends_at_the_image() -> None:
         (part,) = visible_parts(camera, conductor)
         assert sorted((part.pixels[0, 1], part.pixels[-1, 1])) == pytest.approx([0, 200], abs=1e-9)
         assert part.widths_px == pytest.approx(conductor.diameter_m * 200 / (30 - 11), rel=0.3)
+
+
+def test_every_option_of_the_command_counts(
+    tmp_path: Path, flat_ground: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = "--seconds 8 --fps 1 --size 96x64 --seed 4 --flight orbit --structures 4 --phases 2 --bundle 2"
+    target = tmp_path / "a.mcap"
+    arguments = [*options.split(), "--fault", "blur", "--fault", "missing_conductor", "--schema", "ros2"]
+    monkeypatch.setattr(sys, "argv", ["lsnet-pipe", "simulate", str(target), *arguments])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert capsys.readouterr().out == f"{target}\n{tmp_path / 'a.truth.json'}\n"
+    truth = json.loads((tmp_path / "a.truth.json").read_text())
+    assert truth["options"] == {
+        "seconds": 8.0,
+        "fps": 1.0,
+        "image_size": [64, 96],
+        "seed": 4,
+        "flight": "orbit",
+        "n_structures": 4,
+        "n_phases": 2,
+        "n_bundle": 2,
+        "faults": ["blur", "missing_conductor"],
+        "schema": "ros2",
+    }
+    assert len(truth["structures"]) == 4
+    assert {fault["kind"] for fault in truth["faults"]} == {"blur", "missing_conductor"}
+    sharpness = {frame["quality"]: [] for frame in truth["frames"]}
+    images = [frame.image for frame in iter_frames(open_recording(target))]
+    for image, frame in zip(images, truth["frames"], strict=True):
+        sharpness[frame["quality"]].append(measure_quality(image).sharpness)
+    assert max(sharpness["blurred"]) < min(sharpness["ok"]) / 2

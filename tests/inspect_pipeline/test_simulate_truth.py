@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,10 +24,9 @@ from inspect_pipeline.simulate_options import FaultKind, FlightKind, SchemaKind,
 from inspect_pipeline.simulate_truth import simulate_truth
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from inspect_pipeline.simulate_types import FaultTruth, FlightTruth, FrameTruth
 
+DOCS = Path(__file__).parents[2] / "docs"
 FLIGHT = SimulationOptions(seconds=40, fps=4, seed=2)
 ALL_IN_SIGHT = {"L1", "L2", "L3", "N"}
 
@@ -210,6 +211,16 @@ def test_a_line_may_end() -> None:
         fly(n_structures=1)
 
 
+def test_the_example_of_the_documentation(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (DOCS / "inspection.md").read_text(encoding="utf-8")
+    simulator = text.split("## Simulator")[1].split("## Tracks")[0]
+    (source,) = re.findall(r"```python\n(.*?)```", simulator, re.DOTALL)
+    exec(compile(source, "inspection.md", "exec"), {})  # noqa: S102 - our own text
+    kind, _, n_lines = capsys.readouterr().out.split()
+    assert (kind, n_lines) == ("missing_conductor", "4")
+    assert all(f"`{kind}`" in simulator for kind in (*FaultKind, *FlightKind))
+
+
 def test_the_truth_shares_no_code_with_what_it_judges() -> None:
     program = (
         "import sys\nfrom inspect_pipeline.simulate_truth import simulate_truth\n"
@@ -247,6 +258,10 @@ def test_ros2_messages_are_those_of_ros2(tmp_path: Path, flat_ground: None) -> N
     assert camera.topic == truth["image_topic"]
     assert read_intrinsics(recording, camera).focal_px == pytest.approx([truth["frames"][0]["focal_px"]] * 2)
     pose = read_poses(recording).at(truth["frames"][1]["log_time_ns"])
+    section = (DOCS / "formats.md").read_text(encoding="utf-8").split("## Simulated recordings")[1]
+    parts = [truth, truth["frames"][0], *(truth[name][0] for name in ("structures", "spans", "spans_seen"))]
+    parts += [truth["frames"][0]["lines"][0], truth["frames"][0]["views"][0]]
+    assert [n for part in parts for n in part if not re.search(rf"[`.]{n}\b", section)] == []
     wanted = [
         truth["frames"][1][name] for name in ("height_m", "cam_yaw_deg", "cam_pitch_deg", "heading_deg")
     ]

@@ -26,7 +26,7 @@ class PhotographTags:
     """What a photograph says of itself; what it does not say is None.
 
     clock is the camera's own, without a zone; zone is that of the clock, by EXIF; gps_clock is in UTC.
-    image_size is (height, width). focal_px is by the focal length for 35 mm film.
+    image_size is (height, width). focal_px is by the focal length for 35 mm film. height_m is above take-off.
     """
 
     image_size: tuple[int, int]
@@ -36,6 +36,7 @@ class PhotographTags:
     position: Position | None
     gimbal: YawPitchRoll | None
     focal_px: float | None
+    height_m: float | None
 
 
 def read_tags(path: Path) -> PhotographTags | None:
@@ -47,14 +48,16 @@ def read_tags(path: Path) -> PhotographTags | None:
     except (UnidentifiedImageError, SyntaxError, ValueError):
         return None
     camera, gps = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
+    dji = _dji_fields(xmp if isinstance(xmp, bytes) else xmp.encode())
     return PhotographTags(
         image_size=(height, width),
         clock=_clock(camera),
         zone=_zone(camera.get(ExifTags.Base.OffsetTimeOriginal)),
         gps_clock=_gps_clock(gps),
         position=_position(gps),
-        gimbal=_gimbal(xmp if isinstance(xmp, bytes) else xmp.encode()),
+        gimbal=_gimbal(dji),
         focal_px=_focal_px(camera, math.hypot(height, width)),
+        height_m=_number(dji.get("RelativeAltitude")),
     )
 
 
@@ -103,11 +106,19 @@ def _degrees(parts: Any, is_negative: bool) -> float:
     return -value if is_negative else value
 
 
-def _gimbal(xmp: bytes) -> YawPitchRoll | None:
-    fields = {match[1].decode(): match[2] or match[3] for match in _DJI.finditer(xmp)}
+def _dji_fields(xmp: bytes) -> dict[str, bytes | None]:
+    return {match[1].decode(): match[2] or match[3] for match in _DJI.finditer(xmp)}
+
+
+def _gimbal(fields: Mapping[str, bytes | None]) -> YawPitchRoll | None:
+    turns = [_number(fields.get(f"Gimbal{turn}Degree")) for turn in ("Yaw", "Pitch", "Roll")]
+    return YawPitchRoll(*(turn for turn in turns if turn is not None)) if None not in turns else None
+
+
+def _number(text: bytes | None) -> float | None:
     try:
-        return YawPitchRoll(*(float(fields[f"Gimbal{turn}Degree"]) for turn in ("Yaw", "Pitch", "Roll")))
-    except (KeyError, TypeError, ValueError):
+        return float(text or b"")
+    except ValueError:
         return None
 
 

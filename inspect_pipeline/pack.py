@@ -108,7 +108,7 @@ def pack_photographs(folder: Path, target: Path) -> PackResult:
 
 def _write_photograph(author: RecordingAuthor, time_ns: int, path: Path, tags: PhotographTags) -> None:
     """The image behind what is known of it, so that readers know it when the image comes."""
-    _write_pose(author, time_ns, tags.position, tags.gimbal)
+    _write_pose(author, time_ns, tags.position, tags.gimbal, tags.height_m)
     if tags.focal_px:
         height, width = tags.image_size
         author.write_calibration(
@@ -123,7 +123,11 @@ def _write_photograph(author: RecordingAuthor, time_ns: int, path: Path, tags: P
 
 
 def _write_pose(
-    author: RecordingAuthor, time_ns: int, position: Position | None, gimbal: YawPitchRoll | None
+    author: RecordingAuthor,
+    time_ns: int,
+    position: Position | None,
+    gimbal: YawPitchRoll | None,
+    height_m: float | None,
 ) -> None:
     if position:
         author.write_location(
@@ -135,7 +139,10 @@ def _write_pose(
             altitude_m=position.altitude_m,
         )
     if gimbal:
-        author.write_attitude(ATTITUDE_TOPIC, time_ns, "map", _FRAME_ID, to_enu(gimbal))
+        place_m = (0.0, 0.0, height_m or 0.0)  # all 0 where it is not known
+        author.write_attitude(
+            ATTITUDE_TOPIC, time_ns, "map", _FRAME_ID, to_enu(gimbal), translation_m=place_m
+        )
 
 
 def _zone(photographs: Sequence[PhotographTags]) -> timedelta:
@@ -178,7 +185,9 @@ def pack_video(video: Path, target: Path) -> PackResult:
             start_ns = _start_ns(video, blocks, container)
             with new_recording(target) as author:
                 for block in blocks:
-                    _write_pose(author, start_ns + block.offset_ns, block.position, block.gimbal)
+                    _write_pose(
+                        author, start_ns + block.offset_ns, block.position, block.gimbal, block.height_m
+                    )
                 n_images = _write_packets(author, video, container, start_ns)
     except av.FFmpegError as error:
         raise RecordingError(video, "it is not a video that can be read", "name an MP4 file") from error

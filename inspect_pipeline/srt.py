@@ -21,12 +21,16 @@ _GPS = re.compile(r"GPS\s*\(([-\d.]+),\s*([-\d.]+),\s*([-\d.]+)\w*\)")  # longit
 
 @dataclass(frozen=True, slots=True)
 class SubtitleBlock:
-    """One block: offset_ns counts from the start of the video, clock is the drone's own, taken for UTC."""
+    """One block: offset_ns counts from the start of the video, clock is the drone's own, taken for UTC.
+
+    height_m is above take-off.
+    """
 
     offset_ns: int
     clock: datetime | None
     position: Position | None
     gimbal: YawPitchRoll | None
+    height_m: float | None
 
 
 def parse_srt(text: str) -> Iterator[SubtitleBlock]:
@@ -43,6 +47,7 @@ def parse_srt(text: str) -> Iterator[SubtitleBlock]:
             clock=_clock(block),
             position=_position(block, fields),
             gimbal=_gimbal(fields),
+            height_m=fields.get("rel_alt"),
         )
 
 

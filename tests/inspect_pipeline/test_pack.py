@@ -105,7 +105,7 @@ def test_photographs_become_a_recording(tmp_path: Path) -> None:
     position = (poses[0].latitude_deg, poses[0].longitude_deg, poses[0].altitude_m)
     assert position == pytest.approx((-48.1025, 11.51, -12.5))
     assert (poses[0].yaw_deg, poses[0].pitch_deg) == pytest.approx((-121.5, -89.9), abs=1e-3)
-    assert (poses[0].attitude_of, poses[0].age_ms) == ("camera", 0)
+    assert (poses[0].attitude_of, poses[0].age_ms, poses[0].height_m) == ("camera", 0, 60.1)
     assert poses[1].latitude_deg == pytest.approx(-48.2)
     intrinsics = read_intrinsics(recording, recording.camera_channels[0])
     assert intrinsics is not None
@@ -152,6 +152,7 @@ def test_a_video_and_its_subtitles_become_a_recording(tmp_path: Path) -> None:
     assert third is not None
     assert (first.latitude_deg, first.longitude_deg, first.altitude_m) == (48.1, 11.5, 500.125)
     assert (first.yaw_deg, first.pitch_deg, first.roll_deg) == pytest.approx((30.5, -45, 0), abs=1e-9)
+    assert first.height_m == 1.3
     assert (second.latitude_deg, second.longitude_deg, second.altitude_m) == (48.2, 11.6, 501.0)
     assert (third.latitude_deg, third.longitude_deg, third.altitude_m) == (-48.3, 11.7, 502.5)
 

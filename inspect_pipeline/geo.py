@@ -30,7 +30,7 @@ _EARTH = pyproj.Geod(ellps="WGS84")
 def lens_of_view(image_size: tuple[int, int], view_deg: float) -> Intrinsics:
     """A lens without distortion whose view is `view_deg` from left to right of (height, width)."""
     height, width = image_size
-    focal_px = width / 2 / np.tan(np.radians(view_deg) / 2)
+    focal_px = float(width / 2 / np.tan(np.radians(view_deg) / 2))
     return Intrinsics(image_size, (focal_px, focal_px), (width / 2, height / 2), "", ())
 
 

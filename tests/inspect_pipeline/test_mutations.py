@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-MAX_SECONDS = 10
+MAX_SECONDS = 10  # of CPU: a busy machine is no hang, and what waits for ever is stopped by pytest
 MAX_MEMORY_GROWTH_MB = 400
 
 
@@ -165,13 +165,13 @@ def check(tmp_path: Path, contents: Iterable[tuple[str, bytes]], process_every: 
     n_read = 0
     for number, (name, content) in enumerate(contents):
         path.write_bytes(content)
-        started = time.monotonic()
+        started = time.process_time()
         try:
             n_read += bool(use(path, target))
             if process_every and number % process_every == 0:
                 process_whole(path, store)
                 shutil.rmtree(store.root, ignore_errors=True)
-            assert time.monotonic() - started < MAX_SECONDS
+            assert time.process_time() - started < MAX_SECONDS
         except Exception as error:
             kept = tmp_path / f"failed-{name}.mcap"
             kept.write_bytes(content)
@@ -256,12 +256,12 @@ def test_decompression_bombs_take_no_memory(tmp_path: Path, compression: str, de
     data = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
     del zeros
     path = bomb(tmp_path, compression, declared_bytes, data)
-    started = time.monotonic()
+    started = time.process_time()
     recording = open_recording(path)
     assert len(recording.losses) == 2  # the chunk, and the missing end
     with pytest.raises(RecordingError, match="no camera topic"):
         iter_frames(recording)
-    assert time.monotonic() - started < MAX_SECONDS
+    assert time.process_time() - started < MAX_SECONDS
 
 
 def test_a_message_of_absurd_length_takes_no_memory(tmp_path: Path) -> None:

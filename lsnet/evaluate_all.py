@@ -56,7 +56,7 @@ def open_finder(weights: str, runtime: str, rival: str | None) -> tuple[Finder, 
     if rival == "lsd":
         return LSD(), LSD.min_score
     own = load_weights(weights).card.min_score
-    return Detector.load(weights, runtime=runtime, scale=1.0, min_score=0.05), own
+    return Detector.load(weights, runtime=runtime, min_score=0.05), own
 
 
 def evaluate_all(

@@ -11,6 +11,7 @@ from lsnet.labelled import LabelledScenes, load_labels
 from lsnet.model import PRESETS, LSNet
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
+from lsnet.synth.rendered import RenderedScenes
 from lsnet.tiles import STRIDE_PX
 from lsnet.train import load_checkpoint
 from lsnet.weights import WeightsCard, save_weights
@@ -25,7 +26,10 @@ VALIDATION_SEED = 1_000_000  # added to the seed: no validation image is ever tr
 
 @dataclass(frozen=True, slots=True)
 class TrainingData:
-    """Where samples come from: `backgrounds` as DIR[:FIRST] to draw on, or `data` with labels."""
+    """Where samples come from: `backgrounds` as DIR[:FIRST] to draw on, or `data` with labels.
+
+    With `rendered`, a folder of `model synth`, its cables lie over the backgrounds instead of drawn ones.
+    """
 
     backgrounds: tuple[str, ...]
     data: Path | None
@@ -33,13 +37,15 @@ class TrainingData:
     labels: tuple[str, ...]
     size: int
     seed: int
+    rendered: Path | None = None
 
     def describe(self) -> str:
         """One line for the recipe: names, not paths."""
         if self.data:
             return f"labelled {self.data.name}, {self.size} px, seed {self.seed}"
         names = [str(BackgroundFolder.parse(text)) for text in self.backgrounds]
-        return f"drawn on {', '.join(names) or 'plain grounds'}, {self.size} px, seed {self.seed}"
+        how = f"{self.rendered.name} over" if self.rendered else "drawn on"
+        return f"{how} {', '.join(names) or 'plain grounds'}, {self.size} px, seed {self.seed}"
 
 
 def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
@@ -48,8 +54,10 @@ def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
         raise LSNetError(f"crops of {data.size} px do not fit the cells; give a multiple of {STRIDE_PX}")
     if data.data is None:
         pool = BackgroundPool([BackgroundFolder.parse(text) for text in data.backgrounds])
-        drawn = [SyntheticScenes(pool, data.size, seed) for seed in (data.seed, data.seed + VALIDATION_SEED)]
-        return drawn[0], drawn[1]
+        unseen = SyntheticScenes(pool, data.size, data.seed + VALIDATION_SEED)
+        if data.rendered:
+            return RenderedScenes(data.rendered, pool, data.size, data.seed), unseen
+        return SyntheticScenes(pool, data.size, data.seed), unseen
     if data.validation is None:
         raise LSNetError("--data needs --validation with other labelled images, to know when to stop")
     train, validation = (load_labels(folder, data.labels) for folder in (data.data, data.validation))

@@ -39,6 +39,10 @@ def train(
     data: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Labelled images instead of drawn ones.")
     ] = None,
+    rendered: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Pictures of `model synth` to lay over --background."),
+    ] = None,
     validation: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Labelled images to validate on, with --data.")
     ] = None,
@@ -72,7 +76,9 @@ def train(
 
     if preset not in PRESETS:
         raise LSNetError(f"no preset {preset!r}; choose one of {', '.join(PRESETS)}")
-    sources = TrainingData(tuple(background or ()), data, validation, tuple(label or ()), crop, seed)
+    sources = TrainingData(
+        tuple(background or ()), data, validation, tuple(label or ()), crop, seed, rendered
+    )
     config = TrainConfig(
         preset=preset,
         steps=steps,
@@ -149,7 +155,7 @@ def evaluate(
     rival: Annotated[Rival | None, typer.Option(help="Score this detector instead of weights.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Score weights on folders of images, at the images' own size.
+    """Score weights on folders of images, looked at as `detect` does.
 
     A folder holds ID.jpg with ID.boundary.png (contours of the cables), images/ with masks/, or plain images,
     of which the share with a reported segment or line is told. ODS is the best F1 over score thresholds.
@@ -166,6 +172,31 @@ def evaluate(
         reports = evaluate_all(finder, task, own if min_score is None else min_score, on_image=advance)
     for report in reports:
         typer.echo(json.dumps(report.to_dict()) if as_json else str(report))
+
+
+@app.command()
+def synth(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to fill.")],
+    count: Annotated[int, typer.Option(min=1, help="Pictures in all.")] = 100,
+    light: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Environment maps (.hdr) for light; else a sunny sky."),
+    ] = None,
+    size: Annotated[int, typer.Option(min=64, help="Side of the square pictures, px.")] = 512,
+    seed: Annotated[int, typer.Option(help="Same seed, same pictures.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 1,
+) -> None:
+    """Render cables physically: PNG with alpha and their centrelines as JSON, for `model train --rendered`.
+
+    Kill it and run it again: it goes on where it was. Needs the extra `synth`.
+
+    Example: lsnet-pipe model synth --count 1000 -o renders --light hdri --workers 8
+    """
+    from lsnet.synth.render import render_many
+
+    with progress_bar("synth", count) as advance:
+        render_many(output, count, lights=light, size=size, seed=seed, workers=workers, on_image=advance)
+    typer.echo(f"{output}: {count} pictures; next: lsnet-pipe model train --rendered {output}")
 
 
 @app.command()

@@ -1,7 +1,8 @@
 """Geometric augmentation (Section III-A): zoom, rotation, flips, crops and new backgrounds.
 
 Images are (H, W, 3), lines (K, 2) points x, y in pixels that may leave the image; the same map takes both.
-Beyond an image all is of its mean colour: mirrored lines would be lines without labels.
+Beyond an image all is of its mean colour: mirrored lines would be lines without labels. Cables with alpha are
+(H, W, 4), nothing beyond.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ def affine(
     Pixel centres are at i + 0.5, which OpenCV does not count in.
     """
     matrix = np.column_stack([turn, shift + turn @ np.array([0.5, 0.5]) - 0.5])
-    mean = image.mean(axis=(0, 1)).tolist()
-    moved = cv2.warpAffine(image, matrix, size[::-1], flags=cv2.INTER_LINEAR, borderValue=mean)
+    beyond = [0.0] * 4 if image.shape[2] == 4 else image.mean(axis=(0, 1)).tolist()
+    moved = cv2.warpAffine(image, matrix, size[::-1], flags=cv2.INTER_LINEAR, borderValue=beyond)
     return moved.astype(np.float32), [line @ turn.T + shift for line in lines]
 
 

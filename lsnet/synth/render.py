@@ -1,0 +1,271 @@
+"""Physically based pictures of cables with Mitsuba 3 (extra `synth`): PNG with alpha, their truth as JSON.
+
+Stranded aluminium, insulated and rusty cables, alone, in families and in bundles with spacers, poles that
+hide them now and then; lit by environment maps or a sunny sky; out of focus by a real lens. Picture i of a
+seed is always the same scene, and is written once: a stopped run goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from lsnet.errors import LSNetError
+from lsnet.synth.conductors import Camera, Hang, strands
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    Rng = np.random.Generator
+
+LEAST_STRANDED_PX = 4.0  # strands of thinner cables cannot be seen
+MARGIN = 1.3  # of what the camera sees, that cables reach beyond it on either side
+SAMPLES = 32  # rays a pixel
+
+
+@dataclass(frozen=True, slots=True)
+class Cable:
+    """One conductor of a scene: how it hangs, its radius, and a Mitsuba material for it."""
+
+    hang: Hang
+    radius_m: float
+    material: dict[str, Any]
+    is_stranded: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A scene before it is rendered; rods are cylinders from, to, radius in metres: poles and spacers."""
+
+    camera: Camera
+    cables: tuple[Cable, ...]
+    rods: tuple[tuple[tuple[float, ...], tuple[float, ...], float], ...]
+    half_length_m: float
+    aperture_m: float
+    focus_m: float
+
+    def lines(self) -> list[NDArray[np.float64]]:
+        """(K, 2) centreline of each cable in pixels."""
+        s = np.linspace(-self.half_length_m, self.half_length_m, 129)
+        return [self.camera.project(cable.hang.points(s)) for cable in self.cables]
+
+
+def lay_out(rng: Rng, size: int) -> Layout:
+    """A random scene; sizes follow from how wide the cables are to be in the image."""
+    radius_m, fov_deg = rng.uniform(0.006, 0.018), rng.uniform(18, 55)
+    width_px = float(np.exp(rng.uniform(np.log(1.5), np.log(28))))
+    focal_px = size / 2 / np.tan(np.radians(fov_deg) / 2)
+    distance_m = 2 * radius_m * focal_px / width_px
+    heading, elevation = rng.uniform(-0.6, 0.6), rng.uniform(-0.5, 1.35)
+    view = np.array(
+        [np.sin(heading) * np.cos(elevation), -np.cos(heading) * np.cos(elevation), np.sin(elevation)]
+    )
+    origin = distance_m * view
+    seen_m = size / focal_px * distance_m
+    camera = Camera(_triple(origin), (0.0, 0.0, 0.0), fov_deg, size)
+    cables, rods = _family(rng, seen_m, radius_m, width_px)
+    if rng.random() < 0.2:
+        foot = np.array([rng.uniform(-0.4, 0.4) * seen_m, rng.uniform(-0.3, 0.3) * seen_m, 0])
+        reach = np.array([0, 0, seen_m])
+        rods.append((_triple(foot - reach), _triple(foot + reach * rng.uniform(0.05, 1)), seen_m * 0.03))
+    aperture_m = distance_m * rng.uniform(0.0005, 0.004)
+    focus_m = distance_m * float(np.exp(rng.normal(0, 0.08)))
+    return Layout(camera, tuple(cables), tuple(rods), MARGIN * seen_m, aperture_m, focus_m)
+
+
+def _family(rng: Rng, seen_m: float, radius_m: float, width_px: float) -> tuple[list[Cable], list[Any]]:
+    """Cables side by side through what is seen, each alone or a bundle of 2 to 4 with spacers."""
+    cables, rods = [], []
+    curvature, slope = abs(rng.normal(0, 0.06)) / seen_m, rng.normal(0, 0.08)
+    along = np.array([np.cos(slope), 0.0, np.sin(slope)])
+    in_bundle = int(rng.choice([1, 2, 3, 4], p=[0.7, 0.15, 0.05, 0.1]))
+    gap_m = radius_m * rng.uniform(6, 25)
+    for _ in range(int(rng.integers(1, 5 if in_bundle == 1 else 3))):
+        place = np.array([0.0, rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3)]) * seen_m
+        corners = [place + gap_m * np.array(c) / 2 for c in _BUNDLES[in_bundle]]
+        material, is_stranded = _material(rng, width_px)
+        cables += [
+            Cable(Hang(_triple(corner), _triple(along), curvature), radius_m, material, is_stranded)
+            for corner in corners
+        ]
+        at = rng.uniform(-0.4, 0.4) * seen_m * along
+        at[2] += curvature * (at @ along) ** 2 / 2
+        rods += [(_triple(a + at), _triple(b + at), radius_m * 0.8) for a, b in pairwise(corners)]
+    return cables, rods
+
+
+_BUNDLES: dict[int, list[tuple[float, float, float]]] = {
+    1: [(0, 0, 0)],
+    2: [(0, -1, 0), (0, 1, 0)],
+    3: [(0, -1, 0.6), (0, 1, 0.6), (0, 0, -1)],
+    4: [(0, -1, -1), (0, 1, -1), (0, 1, 1), (0, -1, 1)],
+}
+
+
+def _material(rng: Rng, width_px: float) -> tuple[dict[str, Any], bool]:
+    """Aluminium from bright to weathered, insulation, or rust; and whether strands are to be seen."""
+    kind, is_wide = (
+        rng.choice(["aluminium", "insulated", "rusty"], p=[0.6, 0.27, 0.13]),
+        width_px > LEAST_STRANDED_PX,
+    )
+    if kind == "aluminium":
+        tint = {"type": "rgb", "value": [float(rng.uniform(0.25, 1.0))] * 3}
+        alpha = float(rng.uniform(0.12, 0.5))
+        return {
+            "type": "roughconductor",
+            "material": "Al",
+            "alpha": alpha,
+            "specular_reflectance": tint,
+        }, is_wide
+    base = np.array([0.28, 0.12, 0.06]) if kind == "rusty" else np.array([0.03, 0.03, 0.03])
+    colour = (base * rng.uniform(0.5, 2.0, 3)).clip(0, 0.9).tolist()
+    diffuse = {"type": "rgb", "value": colour}
+    if kind == "rusty":
+        return {"type": "diffuse", "reflectance": diffuse}, is_wide
+    return {"type": "roughplastic", "diffuse_reflectance": diffuse, "alpha": 0.25}, False
+
+
+def _triple(vector: NDArray[np.floating]) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES) -> NDArray[np.uint8]:
+    """(H, W, 4) sRGB and alpha, not multiplied in, of a scene under an environment map or a sunny sky.
+
+    Raises LSNetError when Mitsuba is not installed.
+    """
+    mi = _mitsuba()
+    camera = layout.camera
+    to_world = mi.ScalarTransform4f().look_at(origin=camera.origin, target=camera.target, up=[0, 0, 1])
+    film = {"type": "hdrfilm", "width": camera.size, "height": camera.size, "pixel_format": "rgba"}
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 5, "hide_emitters": True},
+        "sensor": {
+            "type": "thinlens",
+            "fov": camera.fov_deg,
+            "aperture_radius": layout.aperture_m,
+            "focus_distance": layout.focus_m,
+            "near_clip": 1e-3,
+            "to_world": to_world,
+            "film": film | {"rfilter": {"type": "box"}},
+            "sampler": {"type": "independent", "sample_count": samples, "seed": int(rng.integers(2**31))},
+        },
+        "light": _light(mi, light, rng),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        for k, cable in enumerate(layout.cables):
+            path = Path(folder) / f"{k}.txt"
+            path.write_text(_curves(cable, layout.half_length_m))
+            scene[f"cable{k}"] = {"type": "bsplinecurve", "filename": str(path), "bsdf": cable.material}
+        for k, (start, end, radius_m) in enumerate(layout.rods):
+            grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": float(rng.uniform(0.1, 0.5))}}
+            scene[f"rod{k}"] = {"type": "cylinder", "p0": start, "p1": end, "radius": radius_m, "bsdf": grey}
+        pixels = np.array(mi.render(mi.load_dict(scene)), np.float64)
+    return _developed(pixels, rng)
+
+
+def _curves(cable: Cable, half_length_m: float) -> str:
+    """Control points with radius, as Mitsuba reads them: a line each, curves apart by an empty line."""
+    if cable.is_stranded:
+        curves, radius_m = strands(cable.hang, cable.radius_m, half_length_m)
+    else:
+        s = np.linspace(-half_length_m, half_length_m, 33)
+        curves, radius_m = [cable.hang.points(s)], cable.radius_m
+    rows = (
+        "\n".join(f"{x:.7g} {y:.7g} {z:.7g} {radius_m:.7g}" for x, y, z in curve.tolist()) for curve in curves
+    )
+    return "\n\n".join(rows) + "\n"
+
+
+def _light(mi: Any, light: Path | None, rng: Rng) -> dict[str, Any]:
+    turn = float(rng.uniform(0, 360))
+    if light is None:
+        up, around = np.radians(rng.uniform(8, 80)), np.radians(turn)
+        towards = [np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)]
+        return {"type": "sunsky", "sun_direction": towards, "turbidity": float(rng.uniform(2, 8))}
+    upright = mi.ScalarTransform4f().rotate([0, 0, 1], turn).rotate([1, 0, 0], 90)
+    return {"type": "envmap", "filename": str(light), "to_world": upright}
+
+
+def _developed(pixels: NDArray[np.float64], rng: Rng) -> NDArray[np.uint8]:
+    """Exposed so that the bright parts of the cables come out anywhere from dim to white."""
+    alpha = np.clip(pixels[..., 3:], 0, 1)
+    colour = np.maximum(np.nan_to_num(pixels[..., :3]), 0) / np.maximum(alpha, 1e-3)
+    is_cable = alpha[..., 0] > 0.3
+    bright = np.percentile(colour[is_cable].mean(axis=1), 95) if is_cable.any() else 1.0
+    exposed = np.clip(colour * rng.uniform(0.08, 1.1) / max(bright, 1e-6), 0, 1) ** (1 / 2.2)
+    return np.round(np.concatenate([exposed, alpha], axis=2) * 255).astype(np.uint8)
+
+
+def _mitsuba() -> Any:
+    try:
+        import drjit  # noqa: PLC0415 -- an extra
+        import mitsuba  # noqa: PLC0415
+    except ImportError as err:
+        raise LSNetError("mitsuba is not installed; pip install 'lsnet-pipe[synth]'") from err
+    mitsuba.set_variant("scalar_rgb")
+    drjit.set_thread_count(1)
+    return mitsuba
+
+
+def render_one(index: int, folder: Path, lights: Sequence[Path], size: int, seed: int) -> Path:
+    """Write picture `index` and, last, its truth; nothing when the truth is there already."""
+    truth = folder / f"{index:06d}.json"
+    if truth.exists():
+        return truth
+    rng = np.random.default_rng([seed, index])
+    layout = lay_out(rng, size)
+    light = lights[int(rng.integers(len(lights)))] if lights else None
+    image = render(layout, light, rng)
+    cv2.imwrite(str(truth.with_suffix(".png")), cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA))
+    lines = [np.round(line, 2).tolist() for line in layout.lines()]
+    partial_file = truth.with_suffix(".partial")
+    partial_file.write_text(json.dumps({"size": [size, size], "seed": seed, "lines": lines}) + "\n")
+    partial_file.replace(truth)
+    return truth
+
+
+def render_many(
+    folder: Path,
+    count: int,
+    *,
+    lights: Path | None,
+    size: int,
+    seed: int,
+    workers: int,
+    on_image: Callable[[], None] = lambda: None,
+) -> None:
+    """Write the first `count` pictures of a seed into a folder, in so many processes.
+
+    Raises LSNetError when Mitsuba is not installed, the folder cannot be made or holds no lights.
+    """
+    _mitsuba()
+    maps = sorted(lights.glob("*.hdr")) if lights else []
+    if lights and not maps:
+        raise LSNetError(f"{lights}: no .hdr files in it; give a folder of environment maps")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise LSNetError(f"{folder}: cannot be made a folder ({err.strerror}); name another") from err
+    task = partial(render_one, folder=folder, lights=maps, size=size, seed=seed)
+    if workers == 1:
+        for index in range(count):
+            task(index)
+            on_image()
+        return
+    with get_context("spawn").Pool(workers) as pool:
+        for _ in pool.imap_unordered(task, range(count)):
+            on_image()

@@ -21,6 +21,7 @@ OLD_STORE = Path(__file__).parents[1] / "data" / "store_0001.tar.xz"
 FROZEN = {
     "0001_initial.sql": "7ba22d02444e30537412d1dad4fa9d5582964940b8dee8e82283a623ecae93b2",
     "0002_runs.sql": "6b5ec3101f5b27767ca9d049d6eb1ca551845a82fedbfa81c11c5606f20ea346",
+    "0003_inspection.sql": "7dedd9545054d0d4b0da66bf0def4ddeeaa981403c44e7eb34f89a0e26788395",
 }
 
 

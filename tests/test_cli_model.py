@@ -151,6 +151,18 @@ def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert json.loads(found.stdout)["path"] == "photos/0.png"
 
 
+def test_synth_and_train_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mitsuba")
+    monkeypatch.setattr(train.TrainConfig.__init__, "__defaults__", _with_few_validation_images())
+    made = run("synth", "-o", "renders", "--count", 1, "--size", 64)
+    assert made.stdout == "renders: 1 pictures; next: lsnet-pipe model train --rendered renders\n"
+    words = ("--run", "run", "--rendered", "renders", "--preset", "tiny", "--crop", 64, "--workers", 0)
+    trained = run("train", *words, "--steps", 1, "--batch-size", 2, "--validate-every", 1)
+    assert (trained.exit_code, trained.stderr) == (0, "")
+    recipe = train.load_checkpoint(tmp_path / "run/last.pt")["recipe"]
+    assert recipe["data"] == "renders over plain grounds, 64 px, seed 0"
+
+
 def _with_few_validation_images() -> tuple[object, ...]:
     defaults = train.TrainConfig.__init__.__defaults__
     return tuple(2 if value == 256 else value for value in defaults)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import TYPE_CHECKING
 
 import cv2
@@ -140,3 +141,10 @@ def test_a_folder_without_pictures_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "000000.json").write_text("{}")
     with pytest.raises(LSNetError, match=r"000000\.json: not of a rendered picture"):
         RenderedScenes(tmp_path, BackgroundPool([]))[0]
+
+
+def test_without_mitsuba_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    with pytest.raises(LSNetError, match=r"pip install 'lsnet-pipe\[synth\]'"):
+        render_many(tmp_path / "a", 1, lights=None, size=64, seed=0, workers=1)
+    assert not (tmp_path / "a").exists()

@@ -60,7 +60,7 @@ def workers_of(driver: subprocess.Popen[bytes]) -> list[int]:
         return []
 
 
-def wait_for(condition: Any, timeout_s: float = 60.0) -> None:
+def wait_for(condition: Any, timeout_s: float = 600.0) -> None:
     deadline = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline
@@ -87,7 +87,7 @@ def disturb(driver: subprocess.Popen[bytes], store: Store, dice: random.Random) 
         driver.kill()
         victims.append("driver")
     driver.wait()
-    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in orphans), 30)
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in orphans))
     return victims
 
 

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 _MIN_GAP_FRAMES = 5  # without lines, before it is called a gap
+_MAX_LOST = 2**31 - 1  # what its column holds; clocks that jump by centuries lose more
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +169,7 @@ def _dropouts(camera: CameraRows, rules: Rules) -> Iterator[Gap]:
     factor = rules.frames["dropout_factor"]
     for i in np.flatnonzero(pauses > factor * frames.period_s).tolist() if len(pauses) else ():
         n_lost = max(1, round(pauses[i] / frames.period_s) - 1) if frames.period_s > 0 else 1
-        yield _gap("frame", camera, (i, i + 1), n_lost, walked)
+        yield _gap("frame", camera, (i, i + 1), min(n_lost, _MAX_LOST), walked)
 
 
 def _detection_gaps(camera: CameraRows, rules: Rules) -> Iterator[Gap]:

@@ -6,12 +6,17 @@ from typing import TYPE_CHECKING
 import factories
 import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording, number_of, shots
+from fakes import FakeDetector
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, Writer
 
+from inspect_pipeline import index
+from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
+from inspect_pipeline.store import Store
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -217,6 +222,15 @@ def test_log_times_beyond_what_databases_hold(tmp_path: Path) -> None:
     to_write = [Shot(1, log_time_ns=2**64 - 2), Shot(0)]
     path = make_recording(tmp_path / "a.mcap", to_write, n_gps_per_shot=0, encoding="json")
     assert [f.log_time_ns for f in iter_frames(open_recording(path))] == [START_NS, 2**63 - 1]
+
+
+def test_a_clock_that_jumps_by_centuries_is_indexed(tmp_path: Path) -> None:
+    to_write = [*shots(4), Shot(5, log_time_ns=2**63 - 1)]
+    path, store = make_recording(tmp_path / "a.mcap", to_write), Store(tmp_path / "store")
+    detector, options = FakeDetector(), ProcessOptions()
+    result = process(path, store, detector, options, start_run(detector, options))
+    assert index.publish(store).n_flights == 1
+    assert (result.n_frames, result.warnings) == (5, ("its log times span 238 years",))
 
 
 def test_an_annotated_copy_belongs_to_the_flight_it_names(tmp_path: Path) -> None:

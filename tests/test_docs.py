@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def small_flight(folder: Path) -> Path:
+def small_flight(folder: Path, flat_ground: None) -> Path:
     path = folder / "small.mcap"
     simulate_flight(path, SimulationOptions(seconds=1, image_size=(120, 160)))
     return path
@@ -72,7 +72,7 @@ def run(
         signal.signal(number, handler)
 
 
-def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path) -> None:
+def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path, flat_ground: None) -> None:
     """In their order, in one folder; a flight that is simulated small, since that takes longest."""
     cv2.imwrite(str(folder / "photo.jpg"), np.zeros((64, 64, 3), np.uint8))
     for command in COMMANDS:

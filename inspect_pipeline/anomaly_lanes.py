@@ -8,7 +8,7 @@ parabola over the whole span is taken for sag, anything else for a change across
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
+_MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two lanes along the span, as what is usual for them
 _RAISED_M = 0.5  # how far conductors of one span hang above or below each other
 _NOISE_M = 0.05  # of a crossing
@@ -38,11 +39,13 @@ _MISFIT_QUANTILE = 0.8
 class Lane:
     """A track in a span.
 
-    across_m (B,): where it appears, NaN where it is not seen, or not at one place. sag_m: how low it hangs in
-    the middle, as a parabola, and misfit_m how far it is from one; NaN where too little of it is seen.
+    sights (C,) are its crossings of bins in frames, as one number in order, across_m (C,) where it appears
+    there. sag_m: how low it hangs in the middle, as a parabola, and misfit_m how far it is from one; NaN
+    where too little of it is seen.
     """
 
     track: int
+    sights: Ints
     across_m: Floats
     sag_m: float
     misfit_m: float
@@ -71,13 +74,18 @@ def make_lanes(one: SpanEvidence, rules: Rules) -> list[Lane]:
     lanes = []
     for track in np.unique(tracks).tolist():
         own = tracks == track
-        bins = view.bin[own]
-        across_m = _place_by_bin(view.across_m[own], bins, len(axis.middles), rules)
-        seen_m = np.isfinite(across_m).sum() * axis.bin_m
+        seen_m = len(np.unique(view.bin[own])) * axis.bin_m
         is_enough = seen_m >= rules.of("sag_change")["min_share"] * axis.length_m
         fit = _fit_sag(sights.select(own), axis.length_m) if is_enough else (np.nan, np.nan)
-        lanes.append(Lane(track, across_m, *fit))
+        places, once = np.unique(view.frame[own] * len(axis.middles) + view.bin[own], return_index=True)
+        lanes.append(Lane(track, places, view.across_m[own][once], *fit))
     return lanes
+
+
+def _distances_m(first: Lane, second: Lane, n_bins: int, rules: Rules) -> Floats:
+    """(B,) how far two lanes appear from each other in the frames that have both; NaN where too few have."""
+    both, i, j = np.intersect1d(first.sights, second.sights, assume_unique=True, return_indices=True)
+    return _place_by_bin(np.abs(first.across_m[i] - second.across_m[j]), both % n_bins, n_bins, rules)
 
 
 def _sights(one: SpanEvidence) -> Sights:
@@ -126,13 +134,14 @@ def _fit_sag(seen: Sights, length_m: float) -> tuple[float, float]:
 
 
 def _place_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Floats:
-    """(B,) the median of each bin; NaN without any, or where a moving view shows it at many places."""
+    """(B,) the median of each bin; NaN with too few values, or where a moving view has them differ."""
     medians = np.full(n_bins, np.nan)
     order = np.argsort(bins, kind="stable")
     edges = np.flatnonzero(np.diff(bins[order])) + 1
     for group in np.split(order, edges) if len(order) else ():
         low, middle, high = np.quantile(across_m[group], (0.1, 0.5, 0.9))
-        if high - low <= rules.of("conductors_converging")["max_spread_m"]:
+        is_enough = len(group) >= rules.anomalies["min_views"]
+        if is_enough and high - low <= rules.of("conductors_converging")["max_spread_m"]:
             medians[bins[group[0]]] = middle
     return medians
 
@@ -141,42 +150,62 @@ def find_converging(
     one: SpanEvidence, lanes: Sequence[Lane], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
     """Two conductors that come much closer than they are along most of the span; those that lose most."""
-    found: list[Finding] = []
-    for i, first in enumerate(lanes):
-        for second in lanes[i + 1 :]:
-            found += list(_approaches(one, first, second, origin, rules))
+    found = [
+        _to_finding(one, approach, first.track, origin)
+        for i, first in enumerate(lanes)
+        for second in lanes[i + 1 :]
+        for approach in _approaches(_distances_m(first, second, len(one.axis.middles), rules), one, rules)
+    ]
     while found:
         best = max(found, key=lambda one: one.threshold - one.value)
         yield best
         found = [one for one in found if one.rows[0] > best.rows[-1] or one.rows[-1] < best.rows[0]]
 
 
-def _approaches(
-    one: SpanEvidence, first: Lane, second: Lane, origin: LocalMetres, rules: Rules
-) -> Iterator[Finding]:
-    limits, span_id = rules.of("conductors_converging"), one.axis.span_id
-    apart_m = np.abs(first.across_m - second.across_m)
+class _Approach(NamedTuple):
+    """Bins in which two lanes are nearer than a limit, how near, and what is usual for them."""
+
+    bins: Ints
+    least_m: float
+    limit_m: float
+    usual_m: float
+
+
+def _approaches(apart_m: Floats, one: SpanEvidence, rules: Rules) -> Iterator[_Approach]:
+    """Where distances (B,) are much less than usual."""
+    limits, bin_m = rules.of("conductors_converging"), one.axis.bin_m
+    for known in _smooth_stretches(apart_m, limits["max_slope"] * bin_m):
+        if len(known) * bin_m < 2 * limits["min_length_m"]:
+            continue
+        usual_m = float(np.quantile(apart_m[known], _USUAL_QUANTILE))
+        limit_m = limits["max_share"] * usual_m
+        is_near = (apart_m[known] < limit_m) & (usual_m >= limits["min_usual_m"])
+        for run in runs_of(is_near, limits["min_length_m"] / bin_m):
+            yield _Approach(known[run], float(apart_m[known[run]].min()), limit_m, usual_m)
+
+
+def _smooth_stretches(apart_m: Floats, max_step_m: float) -> list[Ints]:
+    """Bins without a jump between them: where a track goes over to another conductor, there is one."""
     known = np.flatnonzero(np.isfinite(apart_m))
-    if len(known) * one.axis.bin_m < 2 * limits["min_length_m"]:
-        return
-    usual_m = float(np.quantile(apart_m[known], _USUAL_QUANTILE))
-    if usual_m < limits["min_usual_m"]:
-        return
-    limit_m = limits["max_share"] * usual_m
-    for run in runs_of(apart_m[known] < limit_m, limits["min_length_m"] / one.axis.bin_m):
-        bins = known[run]
-        least_m = float(apart_m[bins].min())
-        yield Finding(
-            "conductors_converging",
-            one.rows_showing(bins),
-            f"two conductors appear {least_m:.1f} m apart in span {span_id}, elsewhere {usual_m:.1f} m",
-            least_m,
-            limit_m,
-            "m",
-            track_id=first.track,
-            span_id=span_id,
-            place=one.place(bins, origin),
-        )
+    steps = np.diff(known)
+    is_jump = (np.abs(np.diff(apart_m[known])) > max_step_m * steps) | (steps > _MAX_UNKNOWN_BINS)
+    return np.split(known, np.flatnonzero(is_jump) + 1)
+
+
+def _to_finding(one: SpanEvidence, found: _Approach, track_id: int, origin: LocalMetres) -> Finding:
+    span_id = one.axis.span_id
+    what = f"two conductors appear {found.least_m:.1f} m apart in span {span_id}"
+    return Finding(
+        "conductors_converging",
+        one.rows_showing(found.bins),
+        f"{what}, elsewhere {found.usual_m:.1f} m",
+        found.least_m,
+        found.limit_m,
+        "m",
+        track_id=track_id,
+        span_id=span_id,
+        place=one.place(found.bins, origin),
+    )
 
 
 def find_sag_changes(
@@ -195,7 +224,8 @@ def find_sag_changes(
         return
     word = "lower" if difference_m > 0 else "higher"
     share = one.axis.bins_m / one.axis.length_m
-    bins = np.flatnonzero((share * (1 - share) > 0.125) & np.isfinite(oddest.across_m))
+    is_seen = np.isin(np.arange(len(share)), oddest.sights % len(share))
+    bins = np.flatnonzero((share * (1 - share) > 0.125) & is_seen)
     if len(bins):
         yield Finding(
             "sag_change",

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from inspect_pipeline.observations import CameraRows
+    from inspect_pipeline.observations import CameraRows, LineRows
     from inspect_pipeline.projection import Cameras, LocalMetres
     from inspect_pipeline.rules import Rules
     from inspect_pipeline.spans import Span
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 
 _SMOOTHED_FRAMES = 31
+_SAME_PX = 8.0  # between two lines that are one
+_FAR_APART_M = 1000.0
 _OUTERMOST = (0.02, 0.98)  # quantiles of where lines lie across
 
 
@@ -47,7 +49,7 @@ class SpanEvidence:
     """What the frames of a camera show of the conductors of a span.
 
     counts (N, B): conductors side by side in a bin, NaN where a frame does not show it. level (B,) is the
-    median over frames, NaN for bins that too few frames show.
+    median over frames, NaN for bins that too few frames show. view has what was found in the very frames.
     """
 
     axis: SpanAxis
@@ -107,15 +109,34 @@ def gather_evidence(
         axis = make_axis(span, origin, rules)
         if not is_near(axis.middles[:, :2], path, rules.coverage["near_m"]):
             continue
-        view = view_span(axis, cameras, lines, rules)
+        view = _without_echoes(view_span(axis, cameras, lines, rules), lines)
         counts = np.where(_shows_all(axis, view, cameras, rules), 0.0, np.nan)
         # Pieces of one track are one conductor, however they overlap.
         each = np.unique(np.column_stack((view.frame, view.bin, lines.track[view.line])), axis=0)
         np.add.at(counts, (each[:, 0], each[:, 1]), 1.0)
         level = _level(counts, rules)
         if np.isfinite(level).any():
-            seen.append(SpanEvidence(axis, view, cameras, lines.track, counts, level))
+            found = view.select(lines.picture[view.line] == view.frame)
+            seen.append(SpanEvidence(axis, found, cameras, lines.track, counts, level))
     return seen
+
+
+def _without_echoes(view: SpanView, lines: LineRows) -> SpanView:
+    """The view without lines of an earlier frame where this one has a line at the same place.
+
+    That line went over to another track.
+    """
+    is_old = lines.picture[view.line] != view.frame
+    place = (view.frame * view.gsd_m.shape[1] + view.bin) * _FAR_APART_M + view.across_m
+    found = np.sort(place[~is_old])
+    if not len(found):
+        return view
+    after = np.clip(np.searchsorted(found, place), 1, max(1, len(found) - 1))
+    nearest_m = np.minimum(
+        np.abs(place - found[after - 1]), np.abs(place - found[np.minimum(after, len(found) - 1)])
+    )
+    is_echo = is_old & (nearest_m <= _SAME_PX * view.gsd_m[view.frame, view.bin])
+    return view.select(~is_echo)
 
 
 def _shows_all(axis: SpanAxis, view: SpanView, cameras: Cameras, rules: Rules) -> Mask:
@@ -192,8 +213,8 @@ def _find_deficits(one: SpanEvidence, expected: int, origin: LocalMetres, rules:
     known = np.flatnonzero(_inner_bins(one, rules))
     if not len(known):
         return
-    lacking = one.level[known] < expected
     bin_m = one.axis.bin_m
+    lacking = _bridge(one.level[known] < expected, rules.anomalies["bridged_m"] / bin_m)
     count_limits = rules.of("conductor_count")
     if lacking.mean() >= count_limits["min_share"] and lacking.sum() * bin_m >= count_limits["min_length_m"]:
         yield _about_count(one, known[lacking], expected, origin)
@@ -226,6 +247,15 @@ def _find_deficits(one: SpanEvidence, expected: int, origin: LocalMetres, rules:
             span_id=one.axis.span_id,
             place=one.place(bins, origin),
         )
+
+
+def _bridge(mask: Mask, longest: float) -> Mask:
+    """A mask without the short runs of False between two of True."""
+    bridged = mask.copy()
+    for run in runs_of(~mask, 1):
+        if run[0] > 0 and run[-1] < len(mask) - 1 and len(run) <= longest:
+            bridged[run] = True
+    return bridged
 
 
 def _is_sure_of_end(one: SpanEvidence, bins: Ints, rules: Rules) -> bool:

@@ -71,13 +71,15 @@ class LineRows:
     """The lines of a camera, ordered by frame.
 
     frame (M,) is the row of its frame, track (M,) its track or NO_TRACK. points (P, 2) px are those of all
-    lines one after the other; those of line i are points[first[i] : first[i + 1]].
+    lines one after the other; those of line i are points[first[i] : first[i + 1]]. taken_from (M,) is the row
+    of the frame whose picture has the line, None where it is always `frame`.
     """
 
     frame: Ints
     track: Ints
     first: Ints
     points: Floats
+    taken_from: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -86,6 +88,11 @@ class LineRows:
     def chords(self) -> Floats:
         """(M, 2, 2): the first and the last point."""
         return np.stack((self.points[self.first[:-1]], self.points[self.first[1:] - 1]), axis=1)
+
+    @property
+    def picture(self) -> Ints:
+        """(M,) the rows of the frames whose pictures have the lines."""
+        return self.frame if self.taken_from is None else self.taken_from
 
     def select(self, chosen: Mask) -> LineRows:
         """Some of the lines."""
@@ -171,7 +178,7 @@ def _take(lines: LineRows, chosen: Ints, frames: Ints) -> LineRows:
     counts = np.diff(lines.first)[chosen]
     first = np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
     points = lines.points[np.repeat(lines.first[chosen], counts) + _count_up(counts)]
-    return LineRows(frames, lines.track[chosen], first, points)
+    return LineRows(frames, lines.track[chosen], first, points, lines.frame[chosen])
 
 
 def place_cameras(frames: FrameRows, origin: LocalMetres, rules: Rules) -> Cameras:

@@ -63,6 +63,11 @@ class SpanView:
     bin: Ints
     across_m: Floats
 
+    def select(self, chosen: Mask) -> SpanView:
+        """The view with some of the crossings."""
+        frame, line, bins = (column[chosen] for column in (self.frame, self.line, self.bin))
+        return SpanView(self.gsd_m, frame, line, bins, self.across_m[chosen])
+
 
 def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
     """The axis of a span; conductors whose height is not known hang at the default, sagging as usual."""
@@ -115,7 +120,7 @@ def view_span(
 
 def to_plane(axis: SpanAxis, cameras: Cameras, lines: LineRows) -> Floats:
     """(P, 2) metres along and across of the points of lines; NaN for what is not below the camera."""
-    owner = np.repeat(lines.frame, np.diff(lines.first))
+    owner = np.repeat(lines.picture, np.diff(lines.first))
     with np.errstate(invalid="ignore", divide="ignore"):
         rays = cameras.rays(owner, lines.points)
         reach = (axis.height_m - cameras.positions[owner, 2]) / rays[:, 2]

@@ -69,8 +69,8 @@ def find_orientation_jumps(camera: CameraRows, usable: Usable, rules: Rules) -> 
             continue
         a, b = (slice(bounds[row], bounds[row + 1]) for row in (before, after))
         turn_deg, n_turned, n_kept = _best_turn(offsets[a], angles[a], offsets[b], angles[b])
-        is_jump = abs(turn_deg) >= limits["min_jump_deg"]
-        if is_jump and n_turned >= limits["min_lines"] and n_turned > n_kept:
+        least = max(limits["min_lines"], limits["min_share"] * max(a.stop - a.start, b.stop - b.start))
+        if abs(turn_deg) >= limits["min_jump_deg"] and n_turned >= least and n_turned > n_kept:
             reason = f"{n_turned} lines turn by {turn_deg:+.0f} degrees from one frame to the next"
             shown = np.array([before, after])
             limit = limits["min_jump_deg"]

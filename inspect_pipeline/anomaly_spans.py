@@ -259,15 +259,19 @@ def _bridge(mask: Mask, longest: float) -> Mask:
 
 
 def _is_sure_of_end(one: SpanEvidence, bins: Ints, rules: Rules) -> bool:
-    """Whether bins reach a structure, but for the margin; short of it, twice as many frames must show them.
+    """Whether bins reach a structure, but for the margin, or lines were followed when they came into sight.
 
-    Where a flight begins or ends in a span, a line that was not followed yet is as good as none.
+    Where a flight begins amid a span, a line that is not followed yet is as good as none: there, twice as
+    many frames must show them.
     """
     near_m = 2 * rules.anomalies["margin_m"]
     along_m = one.axis.bins_m[bins]
-    n_views = int(np.isfinite(one.counts[:, bins]).sum(axis=0).max())
-    is_at_structure = along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m
-    return bool(is_at_structure or n_views >= 2 * rules.anomalies["min_views"])
+    if along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m:
+        return True
+    shown = np.isfinite(one.counts)
+    n_views = int(shown[:, bins].sum(axis=0).max())
+    begins = np.flatnonzero(shown[:, bins].any(axis=1))[0]
+    return bool(begins > np.flatnonzero(shown.any(axis=1))[0] or n_views >= 2 * rules.anomalies["min_views"])
 
 
 def _find_surplus(one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules) -> Iterator[Finding]:

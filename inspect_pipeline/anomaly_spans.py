@@ -264,14 +264,13 @@ def _is_sure_of_end(one: SpanEvidence, bins: Ints, rules: Rules) -> bool:
     Where a flight begins amid a span, a line that is not followed yet is as good as none: there, twice as
     many frames must show them.
     """
-    near_m = 2 * rules.anomalies["margin_m"]
-    along_m = one.axis.bins_m[bins]
+    along_m, near_m = one.axis.bins_m[bins], 2 * rules.anomalies["margin_m"]
     if along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m:
         return True
-    shown = np.isfinite(one.counts)
+    min_views, shown = rules.anomalies["min_views"], np.isfinite(one.counts)
     n_views = int(shown[:, bins].sum(axis=0).max())
-    begins = np.flatnonzero(shown[:, bins].any(axis=1))[0]
-    return bool(begins > np.flatnonzero(shown.any(axis=1))[0] or n_views >= 2 * rules.anomalies["min_views"])
+    began, begins = (np.flatnonzero(mask.any(axis=1))[0] for mask in (shown, shown[:, bins]))
+    return bool(begins - began >= min_views or n_views >= 2 * min_views)
 
 
 def _find_surplus(one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules) -> Iterator[Finding]:

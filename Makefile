@@ -82,6 +82,7 @@ bench-tracks: $(INSTALLED)
 SEEDS ?= 20
 bench-inspection: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_inspection.py --seeds $(SEEDS)
+	$(BIN)/python benchmarks/bench_queries.py
 
 clean:
 	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache

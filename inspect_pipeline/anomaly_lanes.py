@@ -149,17 +149,16 @@ def _place_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Fl
 def find_converging(
     one: SpanEvidence, lanes: Sequence[Lane], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
-    """Two conductors that come much closer than they are along most of the span; those that lose most."""
+    """Two conductors that come much closer than they are along most of the span: those of a span that lose most."""
     found = [
         _to_finding(one, approach, first.track, origin)
         for i, first in enumerate(lanes)
         for second in lanes[i + 1 :]
         for approach in _approaches(_distances_m(first, second, len(one.axis.middles), rules), one, rules)
     ]
-    while found:
-        best = max(found, key=lambda one: one.threshold - one.value)
-        yield best
-        found = [one for one in found if one.rows[0] > best.rows[-1] or one.rows[-1] < best.rows[0]]
+    # One that moves towards its neighbour comes nearer to others behind it too.
+    if found:
+        yield max(found, key=lambda one: one.threshold - one.value)
 
 
 class _Approach(NamedTuple):

@@ -149,7 +149,7 @@ def _place_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Fl
 def find_converging(
     one: SpanEvidence, lanes: Sequence[Lane], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
-    """Two conductors that come much closer than they are along most of the span: those of a span that lose most."""
+    """The two conductors that come much closer than they are along most of the span, and lose most."""
     found = [
         _to_finding(one, approach, first.track, origin)
         for i, first in enumerate(lanes)

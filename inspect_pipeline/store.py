@@ -1,7 +1,8 @@
 """The store: one folder per flight, written whole or not at all, with locks and a log beside.
 
 flights/<16 hex of flight_id>/   annotated.mcap, *.parquet and, last, result.json
-index.duckdb                     derived from the flights, see index.py
+spans.geojson, rules.toml        what people told, and reviews.jsonl and tags.jsonl: never derived
+index.duckdb                     derived from all of these, see index.py
 manifest.jsonl                   a log, never read back
 staging/                         flights being written
 lock, publish.lock               held by `batch` and by a publish

@@ -19,7 +19,7 @@ help:
 	@echo "make slow       the tests that take minutes, npm or much disk"
 	@echo "make bench      speed and memory against what else does the same, some minutes"
 	@echo "make bench-tracks         lines followed over simulated flights, beside the nearest neighbour"
-	@echo "make bench-inspection     anomalies and coverage against simulated flights, half an hour"
+	@echo "make bench-inspection     anomalies and coverage against simulated flights, ten minutes"
 	@echo "make reliability-short    kills, stops and repeats of batches, a few minutes"
 	@echo "make reliability          the same with 500 kills and 10,000 recordings, hours"
 	@echo "make clean      remove what was built, but not $(VENV)"

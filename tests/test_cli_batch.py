@@ -131,6 +131,9 @@ def test_every_option_can_be_in_the_file(run: Callable[..., Outcome], tmp_path: 
         strict = true
         write = "none"
         schema = "protobuf"
+        ground-alt = 120.5
+        view = 80
+        wire = 28.5
         weights = "fast"
         scale = 0.5
         min-score = 0.4

@@ -249,7 +249,7 @@ def test_damaged_results_are_no_results(store: Store) -> None:
         result.write_text(damaged)
         assert store.load_flight(flight_id) is None
         assert store.scan() == ([], [result.parent])
-    result.write_text(whole.replace('"result_version": 1', '"result_version": 2'))
+    result.write_text(whole.replace('"result_version": 2', '"result_version": 3'))
     with pytest.raises(StoreVersionError, match="upgrade") as caught:
         store.load_flight(flight_id)
     assert caught.value.exit_code == 12

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from inspect_pipeline.tracks_filter import Measured, Pace
 from inspect_pipeline.tracks_lines import FrameLines, continues, half_turned
@@ -230,6 +229,8 @@ def _match(tracks: list[_Track], lines: FrameLines, longer_px: int) -> dict[int,
     costs = _costs(tracks, lines, longer_px)
     # A track without a line costs as much as the worst line that it may take.
     padded = np.hstack((np.minimum(costs, 2 * _GATE), np.full((len(costs), len(costs)), _GATE)))
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415, half of what publishing waits for
+
     rows, columns = linear_sum_assignment(padded)
     found = {
         row: [column]

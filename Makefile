@@ -67,7 +67,7 @@ reliability: $(INSTALLED)
 	$(BIN)/python -m pytest -q -m reliability
 
 reliability-short: $(INSTALLED)
-	$(BIN)/python -m pytest -q -m 'reliability and not slow'
+	$(BIN)/python -m pytest -q -n auto -m 'reliability and not slow'
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_help.py

@@ -186,6 +186,7 @@ from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.writeback import annotated_copy
 
+imported_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 source, target = Path(sys.argv[1]), Path(sys.argv[2])
 recording = open_recording(source)
 n_frames = 0
@@ -196,7 +197,7 @@ with annotated_copy(recording, target) as out:
     for frame in iter_frames(recording):
         out.write(channel_id, frame.log_time_ns, frame.publish_time_ns, b"{}" * 500)
         n_frames += 1
-print(n_frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+print(n_frames, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - imported_kib) // 1024)
 """
 
 
@@ -206,7 +207,7 @@ print(n_frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
     ids=["indexed", "without summary", "unchunked"],
 )
 def test_memory_is_bounded_on_a_large_recording(tmp_path: Path, options: dict) -> None:
-    """2 GB of images that barely decode: reading and writing back stay below 300 MB."""
+    """2 GB of images that barely decode: reading and writing back take less than 200 MB above the imports."""
     source, count, padding = tmp_path / "large.mcap", 2000, np.random.default_rng(0).bytes(1 << 20)
     how = factories.ENCODINGS["protobuf"]
     with source.open("wb") as file:
@@ -228,4 +229,4 @@ def test_memory_is_bounded_on_a_large_recording(tmp_path: Path, options: dict) -
     )
     n_frames, memory_mb = map(int, run.stdout.split())
     assert n_frames == count
-    assert memory_mb < 300
+    assert memory_mb < 200

@@ -67,6 +67,7 @@ def test_killed_at_some_steps(store: Store, tmp_path: Path, has_exchange: bool) 
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("has_exchange", [True, False])
 def test_killed_at_every_step(store: Store, tmp_path: Path, has_exchange: bool) -> None:
     names = _kill_at_steps(store, tmp_path, 1, has_exchange=has_exchange)

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pyproj
 
+from inspect_pipeline import projection
 from inspect_pipeline.attitude import YawPitchRoll
 from inspect_pipeline.calibrations import Intrinsics
 
@@ -45,11 +46,8 @@ def resized(lens: Intrinsics, image_size: tuple[int, int]) -> Intrinsics:
 
 def camera_axes(turns: YawPitchRoll) -> Floats:
     """(3, 3): right, down and ahead of a camera, each as east, north, up."""
-    (sin_y, sin_p, sin_r), (cos_y, cos_p, cos_r) = np.sin(np.radians(turns)), np.cos(np.radians(turns))
-    ahead = np.array([sin_y * cos_p, cos_y * cos_p, sin_p])
-    level = np.array([cos_y, -sin_y, 0.0])  # to the right, before it rolls
-    below = np.cross(ahead, level)
-    return np.stack((cos_r * level + sin_r * below, cos_r * below - sin_r * level, ahead))
+    axes: Floats = projection.camera_axes(*(np.array([turn]) for turn in turns))[0]
+    return axes
 
 
 def moved(lat_deg: float, lon_deg: float, east_m: float, north_m: float) -> tuple[float, float]:

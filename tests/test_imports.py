@@ -28,6 +28,10 @@ COMMANDS = (
     "quarantine",
     "schedule",
     "runs",
+    "spans",
+    "anomalies",
+    "check",
+    "flights",
 )
 
 

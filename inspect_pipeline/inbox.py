@@ -87,15 +87,16 @@ def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None 
     return Discovery(tuple(ordered), tuple(links_out))
 
 
-def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, Path | None]]:
-    """Paths with the folder they must not lead out of; None for a file that was named by hand."""
+def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, str | None]]:
+    """Paths with the real path of the folder they must not lead out of; None for a file named by hand."""
     path = Path(inbox).absolute()
     if path.is_dir():
-        yield from ((whole_of(found), path) for found in _walk(path, without))
+        root = os.path.realpath(path)
+        yield from ((whole_of(found), root) for found in _walk(path, without))
     elif path.exists():
         yield path, None
     elif glob.has_magic(inbox):
-        root = _fixed_part(path)
+        root = os.path.realpath(_fixed_part(path))
         for match in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207 - absolute
             found = Path(match)
             below = _walk(found, without) if found.is_dir() and not found.is_symlink() else [found]
@@ -118,12 +119,13 @@ def _files_of(path: Path) -> list[Path]:
     return find_parts(path) if path.is_dir() and (path / "metadata.yaml").is_file() else [path]
 
 
-def _leads_out(path: Path, root: Path) -> bool:
+def _leads_out(path: Path, root: str) -> bool:
+    """Whether a recording, or a part of it, is a link to somewhere that is not below `root`, a real path."""
     try:
-        files = [path, *_files_of(path)]
+        files = {path, *_files_of(path)}
     except (OSError, RecordingError):
-        files = [path]
-    return not all(Path(os.path.realpath(file)).is_relative_to(os.path.realpath(root)) for file in files)
+        files = {path}
+    return not all(Path(os.path.realpath(file)).is_relative_to(root) for file in files)
 
 
 def _is_recording(name: str) -> bool:

@@ -136,7 +136,8 @@ def load_runs(store: Store) -> list[RunSummary]:
 
 def run_rows(runs: Iterable[RunRecord], summaries: Iterable[RunSummary]) -> list[dict[str, Any]]:
     """The rows of the table runs of the index, in plain JSON: of runs that made flights, or have ended."""
-    rows = {run.run_id: {**run.to_json(), **_NO_ENDING} for run in runs}
+    flown = {run.run_id: run for run in runs}
+    rows = {run_id: {**run.to_json(), **_NO_ENDING} for run_id, run in flown.items()}
     for summary in summaries:
         whole = summary.to_json()
         ending = {name: whole.get(name, whole["counts"].get(name)) for name in _NO_ENDING}

@@ -16,6 +16,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -57,8 +58,10 @@ class StoredFlight:
 
     def is_whole(self) -> bool:
         """Whether every file of the flight is there with the size it was written with."""
-        paths = {self.folder / name: size for name, size in self.record.files.items()}
-        return all(path.is_file() and path.stat().st_size == size for path, size in paths.items())
+        return all(
+            _size_bytes(f"{self.folder}/{name}") == size_bytes
+            for name, size_bytes in self.record.files.items()
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,6 +263,15 @@ class Store:
 
 def _to_text(record: FlightRecord) -> str:
     return json.dumps(record.to_json(), indent=1) + "\n"
+
+
+def _size_bytes(path: str) -> int | None:
+    """Of a file, None of what is none; a string, since this is what looking at a large store waits for."""
+    try:
+        found = os.stat(path)  # noqa: PTH116
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return found.st_size if stat.S_ISREG(found.st_mode) else None
 
 
 def _lock_of(staging: Path) -> Path:

@@ -99,6 +99,12 @@ class Detector:
             found.append(self._decode(whole, pixels, image))
         return found
 
+    def scale_of(self, image: NDArray[np.uint8]) -> float:
+        """What an image is resized by before detection."""
+        if self.scale is not None:
+            return self.scale
+        return float(min(max(ENLARGE_TO_PX // max(min(image.shape[:2]), 1), 1), MOST_SCALE))
+
     def _prepare(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Resized by the scale, borders repeated up to multiples of 16."""
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
@@ -114,9 +120,7 @@ class Detector:
 
     def _scaled_size(self, image: NDArray[np.uint8]) -> tuple[int, int]:
         height, width = image.shape[:2]
-        scale = self.scale
-        if scale is None:
-            scale = min(max(ENLARGE_TO_PX // max(min(height, width), 1), 1), MOST_SCALE)
+        scale = self.scale_of(image)
         return max(1, round(height * scale)), max(1, round(width * scale))
 
     def _decode(

@@ -200,6 +200,37 @@ def synth(
 
 
 @app.command()
+def mine(
+    background: BackgroundOption,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to fill.")],
+    weights: WeightsOption = "fast",
+    runtime: RuntimeOption = "auto",
+    min_score: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Least score of a segment that counts.")
+    ] = 0.3,
+    scale: Annotated[
+        float | None, typer.Option(help="Resize photographs by this first; else small ones only.")
+    ] = None,
+) -> None:
+    """Cut the squares with false alarms out of photographs without lines, to train on as hard negatives.
+
+    Example: lsnet-pipe model mine --background photos:500 -o hard
+
+    Example: lsnet-pipe model train --run runs/b --start fast --background photos:500 --background hard
+    """
+    from lsnet import Detector
+    from lsnet.synth.mining import count_photos, mine
+
+    detector = Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)
+    n_squares = 0
+    with progress_bar("mine", count_photos(background or ())) as advance:
+        for found in mine(detector, background or (), output):
+            n_squares += found
+            advance(f"{n_squares} squares")
+    typer.echo(f"{output}: {n_squares} squares; next: lsnet-pipe model train --background {output}")
+
+
+@app.command()
 def bench(
     size: Annotated[int, typer.Option(min=32, help="Side of the square images, px.")] = 512,
     images: Annotated[

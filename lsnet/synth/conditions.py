@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from lsnet.synth.augment import PROBABILITY, augment, grey
+from lsnet.synth.compression import video
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,8 +59,9 @@ def cable_shadows(image: Image, lines: Sequence[Points], rng: Rng) -> Image:
 
 
 def augment_further(image: Image, lines: Sequence[Points], rng: Rng) -> tuple[Image, list[Points]]:
-    """Infrared or low light with probability 0.25, then what `augment` does."""
+    """Infrared or low light with probability 0.25, what `augment` does, and a video codec as often."""
     if rng.random() < PROBABILITY:
         technique = infrared if rng.random() < 0.5 else low_light
         image = technique(image, rng)
-    return augment(image, lines, rng)
+    image, lines = augment(image, lines, rng)
+    return (video(image, rng) if rng.random() < PROBABILITY else image), lines

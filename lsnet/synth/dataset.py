@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
-from lsnet.synth.augment import augment
 from lsnet.synth.clutter import add_clutter
+from lsnet.synth.conditions import augment_further
 from lsnet.synth.scene import add_cables
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from lsnet.synth.backgrounds import BackgroundPool
 
 EMPTY_SHARE = 0.2  # of the images hold no cable
+SMALL_SHARE = 0.25  # are seen by a coarse camera, two to four times enlarged as `Detector` does
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,11 +42,18 @@ class SyntheticScenes:
 
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self.seed, index])
-        scene = _to_uint8(self.pool.sample(rng, self.size))
-        add_clutter(scene, rng, lambda: _to_uint8(self.pool.sample(rng, self.size)))
+        factor = int(rng.integers(2, 5)) if rng.random() < SMALL_SHARE else 1
+        small = self._seen(rng, self.size // factor)
+        size = (self.size, self.size)
+        image = np.asarray(cv2.resize(small.image, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+        return Sample(image, [line * (self.size / small.image.shape[0]) for line in small.lines])
+
+    def _seen(self, rng: np.random.Generator, size: int) -> Sample:
+        scene = _to_uint8(self.pool.sample(rng, size))
+        add_clutter(scene, rng, lambda: _to_uint8(self.pool.sample(rng, size)))
         image = scene.astype(np.float32)
         lines = add_cables(image, rng) if rng.random() >= EMPTY_SHARE else []
-        image, lines = augment(image, lines, rng)
+        image, lines = augment_further(image, lines, rng)
         return Sample(_to_uint8(image), lines)
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     Rng = np.random.Generator
 
 MAX_WIDTH_PX = 14.0
+WIDEST_SHARE = 1 / 27  # of the image's side, where that is less
 
 
 def add_cables(image: Image, rng: Rng) -> list[Points]:
@@ -38,7 +39,8 @@ def _family(image: Image, rng: Rng, count: int) -> list[Points]:
     centre = np.array([rng.uniform(0, width), rng.uniform(0, height)])
     busyness = _busyness(image)
     thinnest = min(0.9 + 0.06 * busyness, 3.0)  # nobody sees a thinner one before leaves
-    base_width = float(np.exp(rng.uniform(np.log(thinnest), np.log(MAX_WIDTH_PX))))
+    widest = max(min(MAX_WIDTH_PX, WIDEST_SHARE * min(height, width)), 1.5 * thinnest)
+    base_width = float(np.exp(rng.uniform(np.log(thinnest), np.log(widest))))
     spread = rng.uniform(0.05, 0.9) * reach
     offsets = np.sort(rng.uniform(-0.5, 0.5, count)) * spread
     if rng.random() < 0.25 and count > 1:  # a twin a few widths beside its neighbour
@@ -50,7 +52,7 @@ def _family(image: Image, rng: Rng, count: int) -> list[Points]:
     for offset in offsets:
         turned = angle + converge * offset / reach * 4
         arc = _arc(centre + across * offset, turned, sag, (height, width), rng=rng)
-        w = float(np.clip(base_width * rng.uniform(0.75, 1.25), thinnest, MAX_WIDTH_PX))
+        w = float(np.clip(base_width * rng.uniform(0.75, 1.25), thinnest, widest))
         if rng.random() < 0.15:
             finish = _finish(image, rng, busyness)
         draw_cable(image, arc, (w, w * thinning), finish, _leaves(image, rng))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lsnet.errors import LSNetError
-from lsnet.synth import augment, borders, clutter, scene
+from lsnet.synth import augment, borders, clutter, dataset, scene
 from lsnet.synth.augment import PHOTOMETRIC, elastic
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool, cut_out, load_rgb, plain, vegetation
 from lsnet.synth.cables import Arc, Finish, draw_cable
@@ -386,6 +386,33 @@ def test_scenes_are_the_same_for_the_same_seed_and_index(tmp_path: Path) -> None
         assert (one[i].image.shape, one[i].image.dtype) == ((96, 96, 3), np.uint8)
     assert not np.array_equal(one[0].image, one[1].image)
     assert not np.array_equal(one[0].image, SyntheticScenes(pool, 96, seed=5)[0].image)
+
+
+def test_small_scenes_are_enlarged_with_their_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A black row over white, drawn at a half to a quarter of the size, is where its line says."""
+
+    class White(BackgroundPool):
+        def sample(self, _rng: np.random.Generator, size: int) -> Image:
+            return np.full((size, size, 3), 255, np.float32)
+
+    def black_row(image: Image, _rng: np.random.Generator) -> list[NDArray[np.float64]]:
+        size = len(image)
+        image[size // 3] = 0
+        return [np.array([[0, size // 3 + 0.5], [size, size // 3 + 0.5]])]
+
+    monkeypatch.setattr(dataset, "SMALL_SHARE", 1.0)
+    monkeypatch.setattr(dataset, "add_clutter", lambda *_: None)
+    monkeypatch.setattr(dataset, "add_cables", black_row)
+    monkeypatch.setattr(dataset, "augment_further", lambda image, lines, _rng: (image, lines))
+    widths = set()
+    for i in range(12):
+        sample = SyntheticScenes(White([]), 96)[i]
+        for line in sample.lines:
+            darkness = 255.0 - sample.image[:, 48, 0]
+            np.testing.assert_allclose((darkness * (np.arange(96) + 0.5)).sum() / darkness.sum(), line[0, 1])
+            widths.add(round(darkness.sum() / 255))
+            assert line[1, 0] == 96
+    assert widths == {2, 3, 4}
 
 
 def test_about_a_fifth_of_the_scenes_hold_no_cable() -> None:

@@ -19,7 +19,7 @@ help:
 	@echo "make slow       the tests that take minutes, npm or much disk"
 	@echo "make bench      speed and memory against what else does the same, some minutes"
 	@echo "make bench-tracks         lines followed over simulated flights, beside the nearest neighbour"
-	@echo "make bench-inspection     anomalies and coverage against simulated flights, ten minutes"
+	@echo "make bench-inspection     anomalies, coverage and queries against simulated flights, half an hour"
 	@echo "make reliability-short    kills, stops and repeats of batches, a few minutes"
 	@echo "make reliability          the same with 500 kills and 10,000 recordings, hours"
 	@echo "make clean      remove what was built, but not $(VENV)"
@@ -78,11 +78,11 @@ bench: $(INSTALLED)
 bench-tracks: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_tracks.py
 
-# SEEDS=3 for a look
+# SEEDS=3 DRAWN=1 for a look
 SEEDS ?= 20
+DRAWN ?= 2
 bench-inspection: $(INSTALLED)
-	$(BIN)/python benchmarks/bench_inspection.py --seeds $(SEEDS)
-	$(BIN)/python benchmarks/bench_queries.py
+	$(BIN)/python benchmarks/bench_inspection.py --seeds $(SEEDS) --drawn $(DRAWN)
 
 clean:
 	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache

@@ -125,11 +125,23 @@ def _draw_discs(
     colours: NDArray[np.floating],
 ) -> None:
     pixels, depths = camera.project(centres)
-    fixed = np.rint((pixels - 0.5) * (1 << _SHIFT)).astype(int).tolist()
-    radii = np.rint(radii_m * camera.focal_px / depths * (1 << _SHIFT)).astype(int).tolist()
-    paints = np.clip(colours, 0, 255).tolist()
-    for i in np.argsort(-depths)[: np.count_nonzero(depths > 1)].tolist():
-        cv2.circle(image, fixed[i], radii[i], paints[i], -1, cv2.LINE_AA, _SHIFT)
+    radii_px = radii_m * camera.focal_px / depths
+    is_seen = (depths > 1) & _touches(pixels, radii_px + 1, camera.image_size)
+    shown = np.flatnonzero(is_seen)[np.argsort(-depths[is_seen])]
+    fixed = np.rint((pixels[shown] - 0.5) * (1 << _SHIFT)).astype(int).tolist()
+    radii = np.rint(radii_px[shown] * (1 << _SHIFT)).astype(int).tolist()
+    paints = np.clip(colours[shown], 0, 255).tolist()
+    for centre, radius, paint in zip(fixed, radii, paints, strict=True):
+        cv2.circle(image, centre, radius, paint, -1, cv2.LINE_AA, _SHIFT)
+
+
+def _touches(
+    pixels: NDArray[np.float64], radii_px: NDArray[np.float64], image_size: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Which discs have a part in the image."""
+    reach = radii_px[:, np.newaxis]
+    touches: NDArray[np.bool_] = ((pixels > -reach) & (pixels < image_size[::-1] + reach)).all(axis=1)
+    return touches
 
 
 def _darken(image: Image, shadow: Image) -> None:

@@ -1,0 +1,119 @@
+"""Simulated flights put into a store: as lines that are the truth, disturbed or not, or as drawn pictures."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from inspection_truth import coverage_errors, match, true_coverage
+
+from inspect_pipeline import index
+from inspect_pipeline.config import ProcessOptions, start_run
+from inspect_pipeline.pipeline import process
+from inspect_pipeline.simulate import simulate_flight
+from inspect_pipeline.simulate_options import FaultKind, FlightKind, SimulationOptions
+from inspect_pipeline.simulate_plan import plan_flight
+from inspect_pipeline.simulate_truth import truth_of
+from inspect_pipeline.spans import import_spans
+from inspect_pipeline.store import Store
+from lsnet import Detector
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+import inspected  # after lsnet, of which the tests have a folder too
+
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from inspect_pipeline.simulate_types import FlightTruth
+
+_SECONDS, _FPS = 40.0, 4.0
+_TRUE_SIZE, _DRAWN_SIZE = (720, 1280), (360, 640)  # height, width
+
+
+@dataclass(frozen=True)
+class Case:
+    """A flight to simulate: the fault in it, or none and how it is flown; drawn for the detector, or not."""
+
+    seed: int
+    fault: FaultKind | None
+    flight: FlightKind = FlightKind.PASS_BY
+    is_drawn: bool = False
+
+    @property
+    def options(self) -> SimulationOptions:
+        faults = () if self.fault is None else (self.fault,)
+        size = _DRAWN_SIZE if self.is_drawn else _TRUE_SIZE
+        return SimulationOptions(_SECONDS, _FPS, size, self.seed, self.flight, faults=faults)
+
+    def __str__(self) -> str:
+        how = ", drawn" if self.is_drawn else ""
+        return f"seed {self.seed} {self.fault or f'clean, {self.flight}'}{how}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found: hits of the planted kind, other findings by kind, errors of coverage in points."""
+
+    case: Case
+    n_planted: int
+    n_hits: int
+    others: Counter[str]
+    errors: dict[str, list[float]]
+
+
+def run_case(case: Case) -> Outcome:
+    """Simulate a flight, put it into a store, and compare what the index says with the truth."""
+    plan = plan_flight(case.options)
+    truth = truth_of(plan)
+    rng = np.random.default_rng(case.seed)
+    with tempfile.TemporaryDirectory() as folder:
+        way = "detector" if case.is_drawn else "disturbed"
+        store = Store(Path(folder) / way)
+        if case.is_drawn:
+            _put_pictures(store, case.options)
+        else:
+            inspected.write_truth(store, "flight", truth, rng)
+        rows = _inspect(store, truth)
+        errors = {}
+        if case.fault is None:
+            wanted = true_coverage(plan, truth)
+            errors = {f"{name} {way}": e for name, e in coverage_errors(rows["coverage"], wanted).items()}
+            if not case.is_drawn:
+                true = Store(Path(folder) / "true")
+                inspected.write_truth(true, "flight", truth, None)
+                errors |= coverage_errors(_inspect(true, truth)["coverage"], wanted)
+    hits, others = match(truth, rows["anomalies"])
+    return Outcome(case, len(truth.faults), hits, others, errors)
+
+
+def _put_pictures(store: Store, options: SimulationOptions) -> None:
+    """Draw a recording and process it."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "flight.mcap"
+        simulate_flight(recording, options)
+        put_recording(recording, store)
+
+
+def put_recording(recording: Path, store: Store) -> None:
+    """Process a recording by the shipped weights."""
+    detector, options = _detector(), ProcessOptions(write="none")
+    process(recording, store, detector, options, start_run(detector, options))
+
+
+@cache
+def _detector() -> Detector:
+    return Detector.load()
+
+
+def _inspect(store: Store, truth: FlightTruth) -> dict[str, Any]:
+    """The rows of anomalies and coverage that the index has of a flight, its spans known."""
+    import_spans(store, inspected.spans_of(truth))
+    index.publish(store)
+    anomalies = index.select(store, "SELECT kind, start_ns, end_ns FROM anomalies ORDER BY ALL")
+    coverage = index.select(store, "SELECT kind, unit, span_id, share FROM coverage WHERE channel_id IS NULL")
+    return {"anomalies": anomalies, "coverage": coverage}

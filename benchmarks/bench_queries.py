@@ -103,7 +103,7 @@ def time_query(connection: duckdb.DuckDBPyConnection, sql: str) -> float:
 def time_command(index_path: Path, query: NamedQuery, flight_id: str) -> float:
     """Seconds that the command takes, the quickest of a few runs."""
     values = [f"--param={name}={flight_id}" for name in query.parameters]
-    command = [COMMAND, "query", "--named", query.name, *values, "--store", index_path.parent]
+    command = [str(COMMAND), "query", "--named", query.name, *values, "--store", str(index_path.parent)]
     taken = []
     for _ in range(CLI_RUNS):
         started = time.perf_counter()

@@ -140,7 +140,8 @@ def _touches(
 ) -> NDArray[np.bool_]:
     """Which discs have a part in the image."""
     reach = radii_px[:, np.newaxis]
-    touches: NDArray[np.bool_] = ((pixels > -reach) & (pixels < image_size[::-1] + reach)).all(axis=1)
+    is_near = (pixels > -reach) & (pixels < image_size[::-1] + reach)
+    touches: NDArray[np.bool_] = np.all(is_near, axis=1)
     return touches
 
 

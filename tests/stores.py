@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import duckdb
 from flights import versions, versions_in_index
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from inspect_pipeline.store import Store
 
 # What differs between two runs over the same recordings, by nature, or is about runs.
@@ -35,6 +40,25 @@ def file_names(store: Store) -> set[str]:
     """The files of a store but those named after runs."""
     found = {path.relative_to(store.root).as_posix() for path in store.root.rglob("*") if path.is_file()}
     return {name for name in found if not name.startswith("runs/")}
+
+
+def disk_state(store: Store) -> str:
+    """A hash of all that a crash at this moment would leave: the names and the bytes of a store."""
+    digest = hashlib.blake2b()
+    for path in sorted(store.root.rglob("*")):
+        digest.update(os.fsencode(path))
+        if path == store.index_path:  # large, and replaced rather than written
+            found = path.stat()
+            digest.update(f"{found.st_ino} {found.st_size} {found.st_mtime_ns}".encode())
+        elif path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def where_states_change(states: Sequence[str]) -> list[int]:
+    """The first and the last place of every run of equal states."""
+    last = [i for i, (one, following) in enumerate(pairwise(states)) if one != following]
+    return sorted({0, len(states) - 1, *last, *(i + 1 for i in last)})
 
 
 def check_visible(store: Store) -> None:

@@ -7,12 +7,13 @@ import os
 import shutil
 import signal
 import sys
-from functools import partial
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import flights
 import pytest
 from flights import versions, versions_in_index
+from stores import disk_state, where_states_change
 
 from inspect_pipeline import files, index
 from inspect_pipeline.errors import StoreError
@@ -63,7 +64,7 @@ def test_no_space_at_any_fsync(store: Store, monkeypatch: pytest.MonkeyPatch, ha
 
 @pytest.mark.parametrize("has_exchange", [True, False])
 def test_killed_at_some_steps(store: Store, tmp_path: Path, has_exchange: bool) -> None:
-    _kill_at_steps(store, tmp_path, 151, has_exchange=has_exchange)
+    _kill_at_steps(store, tmp_path, 29, has_exchange=has_exchange)
 
 
 @pytest.mark.slow
@@ -71,9 +72,7 @@ def test_killed_at_some_steps(store: Store, tmp_path: Path, has_exchange: bool) 
 @pytest.mark.parametrize("has_exchange", [True, False])
 def test_killed_at_every_step(store: Store, tmp_path: Path, has_exchange: bool) -> None:
     names = _kill_at_steps(store, tmp_path, 1, has_exchange=has_exchange)
-    assert {"mkdir", "fsync", "rename", "replace", "unlink", "commit", "_insert_flights", "_flush"} <= set(
-        names
-    )
+    assert {"mkdir", "fsync", "rename", "replace", "unlink", "commit", "_insert_flights", "_flush"} <= names
 
 
 def test_a_killed_move_aside_is_undone_by_a_publish(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,15 +86,25 @@ def test_a_killed_move_aside_is_undone_by_a_publish(store: Store, monkeypatch: p
     assert [p.name for p in (store.root / "staging").iterdir()] == ["mutex"]
 
 
-def _kill_at_steps(store: Store, tmp_path: Path, stride: int, *, has_exchange: bool) -> list[str]:
-    """Replace a flight, add another and publish, with SIGKILL at every `stride`-th step; the steps' names."""
+def _kill_at_steps(store: Store, tmp_path: Path, stride: int, *, has_exchange: bool) -> set[str]:
+    """Replace a flight, add another and publish, with SIGKILL at every `stride`-th step; the steps' names.
+
+    Steps between which the store is the same, byte for byte, count as one; its first and its last are tried.
+    """
     flights.write_flight(store, "a", 2)
     index.publish(store)
-    names: list[str] = []
-    for number in range(0, 10_000, stride):
+    steps = _record_steps(store, tmp_path / "undisturbed", has_exchange=has_exchange)
+    for number in where_states_change([state for state, _ in steps])[::stride]:
         killed = Store(tmp_path / f"killed-{number}")
         shutil.copytree(store.root, killed.root)
-        name = _run_until_step(partial(_replace_and_add, killed), number, has_exchange=has_exchange)
+        counted = count(1)
+
+        def kill(_: str, killed_at: int = number + 1, counted: count[int] = counted) -> None:
+            if next(counted) == killed_at:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        status = _run_watched(killed, kill, has_exchange=has_exchange)
+        assert os.WIFSIGNALED(status), f"not killed at step {number} of {len(steps)}"
         found = versions(killed)
         assert set(found.values()) <= {2, 3}
         assert "a" in found or not has_exchange
@@ -105,10 +114,23 @@ def _kill_at_steps(store: Store, tmp_path: Path, stride: int, *, has_exchange: b
         assert [p.name for p in (killed.root / "staging").iterdir()] == ["mutex"]
         assert not list(killed.root.glob("index.duckdb?*"))
         shutil.rmtree(killed.root)
-        if name is None:
-            return names
-        names.append(name)
-    raise AssertionError("it never ends")
+    return {name for _, name in steps}
+
+
+def _record_steps(store: Store, root: Path, *, has_exchange: bool) -> list[tuple[str, str]]:
+    """The state of a copy of the store in `root` before each step, and the step's name."""
+    copy = Store(root)
+    shutil.copytree(store.root, copy.root)
+    log = root.with_name("steps")
+    with log.open("ab", buffering=0) as file:
+        status = _run_watched(
+            copy,
+            lambda name: file.write(f"{disk_state(copy)} {name}\n".encode()),
+            has_exchange=has_exchange,
+        )
+    assert status == 0
+    lines = [line.split() for line in log.read_text().splitlines()]
+    return [(state, name) for state, name in lines]
 
 
 def _replace_and_add(store: Store) -> None:
@@ -117,39 +139,26 @@ def _replace_and_add(store: Store) -> None:
     index.publish(store)
 
 
-def _run_until_step(action: Callable[[], None], number: int, *, has_exchange: bool) -> str | None:
-    """Run in a child that is killed before step `number`, ours or the system's; its name, or None."""
-    reader, writer = os.pipe()
+def _run_watched(store: Store, on_step: Callable[[str], object], *, has_exchange: bool) -> int:
+    """How a child ended that told its steps, ours or the system's, before it took them."""
     child = os.fork()
     if child == 0:
         if not has_exchange:
             files._exchange = _no_exchange
-        sys.setprofile(_killer(number, writer))
+        sys.setprofile(_watcher(on_step))
         try:
-            action()
+            _replace_and_add(store)
         finally:
             os._exit(0)
-    os.close(writer)
-    with os.fdopen(reader, "rb") as pipe:
-        name = pipe.read().decode()
-    _, status = os.waitpid(child, 0)
-    assert os.WIFSIGNALED(status) == bool(name)
-    return name or None
+    return os.waitpid(child, 0)[1]
 
 
-def _killer(number: int, writer: int) -> Callable[[Any, str, Any], None]:
-    count = 0
-
+def _watcher(on_step: Callable[[str], object]) -> Callable[[Any, str, Any], None]:
     def profile(frame: Any, event: str, function: Any) -> None:
-        nonlocal count
         code = frame.f_code
         is_ours = event == "call" and "inspect_pipeline" in code.co_filename
         if is_ours or (event == "c_call" and function.__name__ in SYSTEM_CALLS):
-            if count == number:
-                name = code.co_name if is_ours else function.__name__
-                os.write(writer, name.encode())
-                os.kill(os.getpid(), signal.SIGKILL)
-            count += 1
+            on_step(code.co_name if is_ours else function.__name__)
 
     return profile
 

@@ -6,6 +6,7 @@ fork, and is followed by one on a good disk. Prints how many runs there were, an
 
 from __future__ import annotations
 
+import io
 import json
 import mmap
 import os
@@ -14,10 +15,12 @@ import signal
 import struct
 import sys
 from collections import Counter
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import driver
 from factories import make_recording, shots
 from fakes import FakeDetector
 from stores import check_visible, contents, file_names
@@ -25,7 +28,7 @@ from stubs import InlineExecutor, MakeStub
 
 import cli
 import lsnet
-from inspect_pipeline import batch, worker
+from inspect_pipeline import batch, executor_local, worker
 from inspect_pipeline.executor_local import LocalExecutor
 from inspect_pipeline.store import Store
 
@@ -54,20 +57,37 @@ class Disk:
         return n_changes, n_failed
 
 
-class _Workers(LocalExecutor):
-    """Worker processes with stubs."""
+class _Worker(LocalExecutor):
+    """One worker process with a stub; a fork, since starting interpreters is not what is tested."""
 
     def __init__(self, job: Job, **options: object) -> None:
         super().__init__(job, **options | {"n_workers": 1})
+        executor_local.subprocess.Popen = driver.fork_worker
 
 
 def prepare(folder: Path, command: str) -> None:
     """Put stubs in the place of detectors, and, but for `workers`, of worker processes."""
     lsnet.Detector = FakeDetector
     worker.LoadDetector = lambda weights, scale, min_score: MakeStub(folder, weights)
-    if command != "workers":
-        batch.LocalExecutor = InlineExecutor
+    batch.LocalExecutor = _Worker if command == "workers" else InlineExecutor
     batch._POLL_S = 0.05
+
+
+def set_arguments(command: str, inbox: Path, store: Store, weights: str) -> None:
+    """Those of the command line."""
+    recordings = sorted(inbox.iterdir()) if command == "process" else [inbox]
+    options = [] if command == "process" else ["--settle", "0", "--log-format", "json"]
+    name = "process" if command == "process" else "batch"
+    sys.argv = ["lsnet-pipe", name, *map(str, recordings), "--store", str(store.root), "--weights", weights]
+    sys.argv += options
+
+
+def warm_up(folder: Path, command: str, inbox: Path) -> None:
+    """Have what a command imports imported once, before the forks."""
+    set_arguments(command, inbox, Store(folder / "warm"), "first")
+    nowhere = io.StringIO()
+    with redirect_stdout(nowhere), redirect_stderr(nowhere), suppress(SystemExit):
+        cli.main()
 
 
 def run(
@@ -79,11 +99,7 @@ def run(
     begin: Callable[[], object] = lambda: None,
 ) -> int:
     """The exit code of a command in a fork, where `begin` is called first; what it says is in `messages`."""
-    recordings = sorted(inbox.iterdir()) if command == "process" else [inbox]
-    options = [] if command == "process" else ["--settle", "0", "--log-format", "json"]
-    name = "process" if command == "process" else "batch"
-    sys.argv = ["lsnet-pipe", name, *map(str, recordings), "--store", str(store.root), "--weights", weights]
-    sys.argv += options
+    set_arguments(command, inbox, store, weights)
     child = os.fork()
     if child == 0:
         signal.alarm(TIMEOUT_S)
@@ -113,14 +129,16 @@ def main() -> None:
     make_recording(inbox / "a.mcap", shots(3))
     go = partial(run, command, inbox, messages=messages)
 
+    warm_up(folder, command, inbox)
     before = Store(folder / "before")
     assert go(before, "first") == 0, messages.read_text()
     make_recording(inbox / "b.mcap", shots(2))
     after = Store(stores / "undisturbed")
     shutil.copytree(before.root, after.root)
-    disk.fail_at(0, "good")
+    disk.fail_at(0, how)
     assert go(after, "second") == 0, messages.read_text()
     n_changes, _ = disk.counts()
+    wanted = contents(after), file_names(after)
 
     endings: Counter[str] = Counter()
     for number in range(1, n_changes + 1, step):
@@ -137,8 +155,7 @@ def main() -> None:
         try:
             check_visible(store)
             assert go(store, "second") == 0, messages.read_text()
-            assert contents(store) == contents(after)
-            assert file_names(store) == file_names(after)
+            assert (contents(store), file_names(store)) == wanted
         except Exception:
             print(where, file=sys.stderr)
             raise

@@ -1,7 +1,8 @@
 /* A disk that fails: preloaded into a process, it makes the Nth change of a file below a folder fail.
 
    FAULT_ROOT names the folder, FAULT_CONTROL a file of four 64-bit numbers that is shared by all processes:
-   how many changes there were, which one is to fail, how (see below), how many have failed. */
+   how many changes there were, which one is to fail, how (see below), how many have failed. Where half of one
+   is to be written, only writes count. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -39,9 +40,10 @@ __attribute__((constructor)) static void start(void) {
 
 static int fate_of(const char *path, int is_write) {
   if (!control || strncmp(path, root, strlen(root)) != 0) return PASS;
+  if (control->how == SHORT && !is_write) return PASS;
   int64_t number = __atomic_add_fetch(&control->n_changes, 1, __ATOMIC_SEQ_CST);
   int is_due = control->how == FULL ? number >= control->failing : number == control->failing;
-  if (control->failing <= 0 || !is_due || (control->how == SHORT && !is_write)) return PASS;
+  if (control->failing <= 0 || !is_due) return PASS;
   __atomic_add_fetch(&control->n_failed, 1, __ATOMIC_SEQ_CST);
   return control->how == FULL ? ENOSPC : control->how == BROKEN ? EIO : HALVE;
 }

@@ -1,7 +1,8 @@
 """Commands killed at every named step; like fault_runs.py, but on a good disk.
 
 Arguments: a folder, the command, the step between the moments. A step is the call of a function of the
-program; the moments are before the first and before the last call of each. Prints what was killed, as JSON.
+program. Steps between which the store is the same, byte for byte, leave the same to the next run: the moments
+are before the first and before the last of such steps. Prints what was killed, as JSON.
 """
 
 from __future__ import annotations
@@ -12,13 +13,12 @@ import shutil
 import signal
 import sys
 import threading
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from factories import make_recording, shots
-from fault_runs import prepare, run
-from stores import check_visible, contents, file_names
+from fault_runs import prepare, run, warm_up
+from stores import check_visible, contents, disk_state, file_names, where_states_change
 
 from inspect_pipeline.store import Store
 
@@ -54,16 +54,23 @@ def main() -> None:
     def go(store: Store, weights: str, begin: Callable[[], object] = lambda: None) -> int:
         return run(command, inbox, store, weights, messages, begin)
 
+    warm_up(folder, command, inbox)
     before, after = Store(folder / "before"), Store(folder / "after")
     assert go(before, "first") == 0, messages.read_text()
     make_recording(inbox / "b.mcap", shots(2))
     shutil.copytree(before.root, after.root)
     log = os.open(folder / "steps", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    assert go(after, "second", lambda: watch(lambda name: os.write(log, f"{name}\n".encode()))) == 0
-    calls = Counter((folder / "steps").read_text().splitlines())
-    moments = [(name, number) for name, n_calls in calls.items() for number in sorted({1, n_calls})]
 
-    for name, number in moments[::step]:
+    def note(name: str) -> None:
+        os.write(log, f"{disk_state(after)} {name}\n".encode())
+
+    assert go(after, "second", lambda: watch(note)) == 0, messages.read_text()
+    states, names = zip(*map(str.split, (folder / "steps").read_text().splitlines()), strict=True)
+    chosen = where_states_change(states)[::step]
+    moments = [(names[i], names[: i + 1].count(names[i])) for i in chosen]
+    wanted = contents(after), file_names(after)
+
+    for name, number in moments:
         store = Store(folder / "store")
         shutil.copytree(before.root, store.root)
         n_left = number
@@ -79,14 +86,13 @@ def main() -> None:
         try:
             check_visible(store)
             assert go(store, "second") == 0, messages.read_text()
-            assert contents(store) == contents(after)
-            assert file_names(store) == file_names(after)
+            assert (contents(store), file_names(store)) == wanted
         except Exception:
             print(where, file=sys.stderr)
             raise
         shutil.rmtree(store.root)
-    names = sorted({name.rsplit(":", 1)[1] for name, _ in moments[::step]})
-    print(json.dumps({"n_steps": len(moments[::step]), "names": names}))
+    told = {"n_steps": len(names), "n_states": len(set(states)), "n_kills": len(moments)}
+    print(json.dumps({**told, "names": sorted({name.rsplit(":", 1)[1] for name in names})}))
 
 
 if __name__ == "__main__":

@@ -59,24 +59,25 @@ def test_a_disk_that_fails(library: Path, tmp_path: Path, command: str, how: str
     )
     n_changes, n_met = told.pop("n_changes"), sum(n for ending, n in told.items() if ending != "not met")
     print(f"{command}, {how}: {n_changes} changes, {n_met} of them failed: {told}")
-    assert n_changes > 50
-    assert n_met > (0 if how == "short" else n_changes // step - 10)
+    assert n_changes > (10 if how == "short" else 50)
+    assert n_met > n_changes // step - 10
     assert how == "short" or told["exit code 1"] > 0
 
 
 @pytest.mark.parametrize("command", ["process", "batch"])
-@pytest.mark.parametrize("step", [50, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [9, pytest.param(1, marks=pytest.mark.slow)])
 def test_killed_at_every_named_step(tmp_path: Path, command: str, step: int) -> None:
-    """Before the first and the last call of every function of the program that a run calls."""
+    """Steps are the calls of the program's functions; those that leave the same on the disk are one."""
     told = _run("step_runs.py", tmp_path, command, step)
-    print(f"{command}: killed before {told['n_steps']} steps")
+    print(f"{command}: {told['n_steps']} steps, {told['n_states']} states, {told['n_kills']} kills")
     wanted = {"open_recording", "Store.write_flight", "Staging.commit", "move_folder_into_place", "publish"}
-    assert step > 1 or wanted <= set(told["names"])
+    assert wanted <= set(told["names"])
+    assert told["n_kills"] > 60 // step
 
 
 def _run(script: str, *arguments: object, **environment: object) -> dict[str, Any]:
     """What a script tells."""
-    folders = os.pathsep.join(map(str, (HERE.parents[1], HERE.parent)))
+    folders = os.pathsep.join(map(str, (HERE / "light", HERE.parents[1], HERE.parent)))
     done = subprocess.run(
         [sys.executable, HERE / script, *map(str, arguments)],
         env={

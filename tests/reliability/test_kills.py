@@ -10,8 +10,9 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import driver
 import pytest
 from factories import make_recording, shots
 from flights import versions, versions_in_index
@@ -19,10 +20,15 @@ from stores import check_visible, contents, file_names
 
 from inspect_pipeline.store import Store
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Batch = subprocess.Popen[bytes] | driver.Fork
+
 pytestmark = [pytest.mark.reliability, pytest.mark.timeout(1800)]
 N_RECORDINGS = 12
 LAST = "last"  # weights that no killed batch has
-DRIVER = Path(__file__).with_name("driver.py")
+LIGHT = Path(__file__).with_name("light")
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +49,25 @@ def undisturbed(inbox: Path, tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 def start(inbox: Path, store: Store, weights: str, delay_s: float = 0.0) -> subprocess.Popen[bytes]:
     """A batch; the notes of its stub lie beside the store."""
-    folders = [DRIVER.with_name("light"), DRIVER.parents[1], DRIVER.parents[2]]
-    arguments = [inbox, store.root, store.root.parent, weights, delay_s]
+    folders = [LIGHT, *LIGHT.parents[1:3]]
     return subprocess.Popen(
-        [sys.executable, DRIVER, *map(str, arguments)],
+        [sys.executable, driver.__file__, *_arguments(inbox, store, weights, delay_s)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))},
     )
 
 
-def workers_of(driver: subprocess.Popen[bytes]) -> list[int]:
+def fork(inbox: Path, store: Store, weights: str, delay_s: float = 0.0) -> driver.Fork:
+    """The same without the seconds that interpreters take to start."""
+    return driver.start_forked(_arguments(inbox, store, weights, delay_s))
+
+
+def _arguments(inbox: Path, store: Store, weights: str, delay_s: float) -> list[str]:
+    return [str(inbox), str(store.root), str(store.root.parent), weights, str(delay_s)]
+
+
+def workers_of(batch: Batch) -> list[int]:
     try:
-        return [
-            int(pid) for pid in Path(f"/proc/{driver.pid}/task/{driver.pid}/children").read_text().split()
-        ]
+        return [int(pid) for pid in Path(f"/proc/{batch.pid}/task/{batch.pid}/children").read_text().split()]
     except FileNotFoundError:
         return []
 
@@ -67,26 +79,26 @@ def wait_for(condition: Any, timeout_s: float = 600.0) -> None:
         time.sleep(0.02)
 
 
-def disturb(driver: subprocess.Popen[bytes], store: Store, dice: random.Random) -> list[str]:
+def disturb(batch: Batch, store: Store, dice: random.Random) -> list[str]:
     """Kill the driver, or a worker and later the driver, at a random moment of its work; who was killed.
 
     The moment is a while after a number of flights: from none, when workers start, to all, when the index is
     published. So it does not depend on how fast the machine is.
     """
-    wait_for(lambda: driver.poll() is not None or len(workers_of(driver)) > 0)
+    wait_for(lambda: batch.poll() is not None or len(workers_of(batch)) > 0)
     wanted = n_written(store) + dice.randint(0, N_RECORDINGS)
-    wait_for(lambda: driver.poll() is not None or n_written(store) >= wanted)
+    wait_for(lambda: batch.poll() is not None or n_written(store) >= wanted)
     time.sleep(dice.uniform(0, 0.5))
     victims = []
-    if dice.random() < 0.5 and (workers := workers_of(driver)):
+    if dice.random() < 0.5 and (workers := workers_of(batch)):
         os.kill(dice.choice(workers), signal.SIGKILL)
         victims.append("worker")
         time.sleep(dice.uniform(0, 2))
-    orphans = workers_of(driver)
-    if driver.poll() is None:
-        driver.kill()
+    orphans = workers_of(batch)
+    if batch.poll() is None:
+        batch.kill()
         victims.append("driver")
-    driver.wait()
+    batch.wait()
     wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in orphans))
     return victims
 
@@ -98,19 +110,22 @@ def n_written(store: Store) -> int:
 
 
 @pytest.mark.parametrize(
-    ("seed", "n_rounds"),
-    [*((i, 5) for i in range(4)), *(pytest.param(i, 10, marks=pytest.mark.slow) for i in range(4, 36))],
+    ("begin", "seed", "n_rounds"),
+    [
+        *((start, i, 5) for i in range(4)),
+        *(pytest.param(fork, i, 10, marks=pytest.mark.slow) for i in range(4, 36)),
+    ],
 )
 def test_killed_at_random_points(
-    inbox: Path, undisturbed: Store, tmp_path: Path, seed: int, n_rounds: int
+    inbox: Path, undisturbed: Store, tmp_path: Path, begin: Callable[..., Batch], seed: int, n_rounds: int
 ) -> None:
     """Rounds with other weights each, so that every flight is to be replaced again."""
     dice, victims = random.Random(seed), []  # noqa: S311 - a dice
     store = Store(tmp_path / "store")
     for i in range(n_rounds):
-        victims += disturb(start(inbox, store, f"round {i}", 0.05), store, dice)
+        victims += disturb(begin(inbox, store, f"round {i}", 0.05), store, dice)
         check_visible(store)
-    assert start(inbox, store, LAST).wait() == 0
+    assert begin(inbox, store, LAST).wait() == 0
     check_visible(store)
     assert contents(store) == contents(undisturbed)
     assert file_names(store) == file_names(undisturbed)
@@ -121,14 +136,14 @@ def test_killed_at_random_points(
 def test_killed_workers_cost_nothing(inbox: Path, tmp_path: Path) -> None:
     dice, n_kills = random.Random(5), 0  # noqa: S311 - a dice
     store = Store(tmp_path / "store")
-    driver = start(inbox, store, "fast", 0.2)
-    while driver.poll() is None and n_kills < 5:
-        wait_for(lambda: driver.poll() is not None or len(workers_of(driver)) > 0)
+    batch = start(inbox, store, "fast", 0.2)
+    while batch.poll() is None and n_kills < 5:
+        wait_for(lambda: batch.poll() is not None or len(workers_of(batch)) > 0)
         time.sleep(dice.uniform(0.5, 1.5))
-        for pid in workers_of(driver)[:1]:
+        for pid in workers_of(batch)[:1]:
             os.kill(pid, signal.SIGKILL)
             n_kills += 1
-    assert driver.wait(120) == 0
+    assert batch.wait(120) == 0
     assert n_kills > 0
     check_visible(store)
     assert len(versions_in_index(store)) == N_RECORDINGS
@@ -155,10 +170,10 @@ def test_two_batches_at_once(inbox: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("number", "exit_code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_stopped_and_resumed(inbox: Path, tmp_path: Path, number: signal.Signals, exit_code: int) -> None:
     store = Store(tmp_path / "store")
-    driver = start(inbox, store, "fast", 0.3)
+    batch = start(inbox, store, "fast", 0.3)
     wait_for(lambda: len(list(store.root.glob("flights/*"))) >= 2)
-    driver.send_signal(number)
-    assert driver.wait(20) == exit_code
+    batch.send_signal(number)
+    assert batch.wait(20) == exit_code
     assert [path.name for path in (store.root / "staging").iterdir()] == ["mutex"]
     n_done = len(versions_in_index(store))
     assert 2 <= n_done < N_RECORDINGS

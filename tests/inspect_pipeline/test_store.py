@@ -147,7 +147,10 @@ def test_memory_does_not_grow_with_the_flight(store: Store) -> None:
     assert os.waitpid(child, 0)[1] == 0
     assert index.publish(store) == index.IndexChange(1, 0, 0, ())
     names = {path.name for path in store.flight_dir(flight_id).iterdir()}
-    assert names == {"result.json", "frames.parquet", "segments.parquet", "lines.parquet"}
+    assert names == {
+        "result.json",
+        *(f"{name}.parquet" for name in ("frames", "segments", "lines", "tracks")),
+    }
 
 
 def test_reprocessing_replaces_the_folder(store: Store) -> None:

@@ -26,7 +26,7 @@ help:
 
 $(INSTALLED): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,openvino]'
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,int8]'
 	touch $@
 
 demo: $(INSTALLED)

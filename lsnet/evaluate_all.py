@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from lsnet.detector import Detector
@@ -12,6 +13,7 @@ from lsnet.evaluate_cables import evaluate_cables
 from lsnet.paper_scores import evaluate_as_paper
 from lsnet.recipe import VALIDATION_SEED
 from lsnet.rivals.lsd import LSD
+from lsnet.rivals.mlsd import MLSD
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
 from lsnet.truth import images_of
@@ -19,7 +21,6 @@ from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from lsnet.evaluate import Finder, Use
 
@@ -52,9 +53,16 @@ class EvalTask:
 
 
 def open_finder(weights: str, runtime: str, rival: str | None) -> tuple[Finder, float]:
-    """What is to be scored, telling all from score 0.05 up, and its own threshold."""
+    """What is to be scored, telling all from score 0.05 up, and its own threshold.
+
+    rival: lsd, or the path of M-LSD's .tflite. Raises LSNetError for another one.
+    """
     if rival == "lsd":
         return LSD(), LSD.min_score
+    if rival and rival.endswith(".tflite"):
+        return MLSD(Path(rival)), MLSD.min_score
+    if rival:
+        raise LSNetError(f"no rival {rival!r}; give lsd, or the path of M-LSD's .tflite file")
     own = load_weights(weights).card.min_score
     return Detector.load(weights, runtime=runtime, min_score=0.05), own
 

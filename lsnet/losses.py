@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -12,6 +12,8 @@ import torch.nn.functional as F
 from lsnet.grid import IGNORED, POSITIVE
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from torch import Tensor
 
     from lsnet.model import RawOutput
@@ -33,6 +35,26 @@ def endpoint_error(predicted: Tensor, target: Tensor) -> Tensor:
     """d(e, t): (N,) least sum of absolute differences of (N, 4) endpoints over their two orders."""
     swapped = predicted[:, [2, 3, 0, 1]]
     return torch.minimum((target - predicted).abs().sum(1), (target - swapped).abs().sum(1))
+
+
+def ordered_error(predicted: Tensor, target: Tensor) -> Tensor:
+    """(N,) sum of absolute differences of (N, 4) endpoints, the targets' from left to right.
+
+    What the order-free `endpoint_error` is compared with.
+    """
+    swapped = target[:, [2, 3, 0, 1]]
+    is_ordered = (target[:, 0] <= target[:, 2])[:, None]
+    return (torch.where(is_ordered, target, swapped) - predicted).abs().sum(1)
+
+
+def smooth_l1_loss(error: Tensor) -> Tensor:
+    """Quadratic below 1, linear above, elementwise on errors d >= 0 (Girshick)."""
+    return torch.where(error < 1, error**2 / 2, error - 0.5)
+
+
+def l2_loss(error: Tensor) -> Tensor:
+    """Half the square, elementwise on errors d >= 0."""
+    return error**2 / 2
 
 
 def wing_loss(error: Tensor, w: float, epsilon: float) -> Tensor:
@@ -62,14 +84,31 @@ class MultiTaskLoss:
     w: float = 1.0
     epsilon: float = 0.1
     weight: float = 1.0
+    error: Callable[[Tensor, Tensor], Tensor] = endpoint_error
+    regression: Literal["wing", "smooth_l1", "l2"] = "wing"
+    main_grid_only: bool = False  # the cells of the other three grids are not trained
 
     def __call__(self, output: RawOutput, labels: Tensor, endpoints: Tensor) -> Losses:
         """Losses of a batch; labels (N, R, C) and endpoints (N, R, C, 4) as in `grid.Targets`."""
+        if self.main_grid_only:
+            labels = of_main_grid(labels, IGNORED)
         logits = output.logits.float().permute(0, 2, 3, 1)[labels != IGNORED]
         is_positive = labels[labels != IGNORED] == POSITIVE
         n_positive = is_positive.sum().clamp(min=1)
         predicted = output.endpoints.float().permute(0, 2, 3, 1)[labels == POSITIVE]
-        error = endpoint_error(predicted, endpoints[labels == POSITIVE])
+        error = self.error(predicted, endpoints[labels == POSITIVE])
         classification = focal_loss(logits, is_positive, self.alpha, self.gamma).sum() / n_positive
-        regression = wing_loss(error, self.w, self.epsilon).sum() / n_positive
+        regression = self._regression(error).sum() / n_positive
         return Losses(classification + self.weight * regression, classification, regression)
+
+    def _regression(self, error: Tensor) -> Tensor:
+        if self.regression == "smooth_l1":
+            return smooth_l1_loss(error)
+        return l2_loss(error) if self.regression == "l2" else wing_loss(error, self.w, self.epsilon)
+
+
+def of_main_grid(values: Tensor, other: float) -> Tensor:
+    """(..., R, C) values of the interleaved map with those of the three shifted grids replaced."""
+    kept = torch.full_like(values, other)
+    kept[..., ::2, ::2] = values[..., ::2, ::2]
+    return kept

@@ -22,8 +22,9 @@ class LSNetConfig:
     norm: Literal["group", "batch"]  # group as in the paper; batch folds into the convolutions
     stem_channels: int | None = None  # a stride-2 convolution before the stages, None as in the paper
     downsample: Literal["first", "last"] = "last"  # which convolution of a stage has stride 2
-    context_blocks: int = 0  # residual blocks of dilation 2 behind the last stage
+    context_blocks: int = 0  # residual blocks of dilation 2, 4, 8 behind the last stage
     residual: bool = False  # add a stage's input of its last two convolutions to their output
+    stage_blocks: int = 1  # such pairs of convolutions a stage, with `residual`
     pixel_mean: float = 0.5  # of images in [0, 1]
     pixel_std: float = 0.25
 
@@ -86,7 +87,7 @@ class FeatureExtractor(nn.Sequential):
         for c_out in config.stage_channels:
             layers += self._stage(c_in, c_out, config)
             c_in = c_out
-        layers += [Residual(c_in, config.norm, dilation=2) for _ in range(config.context_blocks)]
+        layers += [Residual(c_in, config.norm, dilation=2 << i) for i in range(config.context_blocks)]
         super().__init__(*layers)
 
     @staticmethod
@@ -99,7 +100,7 @@ class FeatureExtractor(nn.Sequential):
             ]
         first = ConvNormAct(c_in, c_out, config.norm, stride=2)
         if config.residual:
-            return [first, Residual(c_out, config.norm)]
+            return [first, *(Residual(c_out, config.norm) for _ in range(config.stage_blocks))]
         return [first, ConvNormAct(c_out, c_out, config.norm), ConvNormAct(c_out, c_out, config.norm)]
 
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lsnet.runtime import Backend
+
 COUNT = 16  # different images, so that no cache holds them all
 BATCH = 8
 
@@ -60,6 +62,18 @@ def measure_speed(weights: str | Path, runtime: str, size: int, folder: Path | N
         preset=str(used["preset"]),
         size=size,
     )
+
+
+def least_cpu_ms(backend: Backend, size: int = 512, repeats: int = 40) -> float:
+    """Least CPU time of one frame of `repeats`, milliseconds: what else runs on the machine hardly counts."""
+    image = [SyntheticScenes(BackgroundPool([]), size)[0].image]
+    backend.run(image)
+    times = []
+    for _ in range(repeats):
+        started = time.process_time_ns()
+        backend.run(image)
+        times.append(time.process_time_ns() - started)
+    return min(times) / 1e6
 
 
 def _squares(folder: Path | None, size: int) -> list[NDArray[np.uint8]]:

@@ -22,7 +22,7 @@ from torch.utils.data import DataLoader, Dataset
 from lsnet.errors import LSNetError
 from lsnet.grid import GridCoder
 from lsnet.losses import Losses, MultiTaskLoss
-from lsnet.model import PRESETS, LSNet
+from lsnet.model import PRESETS, LSNet, LSNetConfig
 from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
@@ -124,23 +124,32 @@ class Trainer:
     """One run: the network, its average, the optimizer, and how far they have come."""
 
     def __init__(
-        self, config: TrainConfig, run_dir: Path, *, seed: int = 0, start: str | Path | None = None
+        self,
+        config: TrainConfig,
+        run_dir: Path,
+        *,
+        seed: int = 0,
+        start: str | Path | None = None,
+        network: LSNetConfig | None = None,
+        loss: MultiTaskLoss | None = None,
     ) -> None:
         """Start a run or go on with it.
 
-        start: weights to begin with, the `best.pt` of another run or what `load_weights` takes.
+        start: weights to begin with, the `best.pt` of another run or what `load_weights` takes. network,
+        loss: another one than the preset's and the usual one, to compare them.
         Raises LSNetError when the folder holds a run of another recipe, or the network does not fit.
         """
         torch.manual_seed(seed)
         torch.set_num_threads(config.threads)
         self.config, self.run_dir = config, run_dir
-        self.net = LSNet(PRESETS[config.preset]).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = LSNet(PRESETS[config.preset])
+        network = network or PRESETS[config.preset]
+        self.net = LSNet(network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.average = LSNet(network)
         self.average.eval()
         self.optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
-        self.loss = MultiTaskLoss()
+        self.loss = loss or MultiTaskLoss()
         self.step, self.best_loss, self.bad_validations = 0, math.inf, 0
         try:
             run_dir.mkdir(parents=True, exist_ok=True)

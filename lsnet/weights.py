@@ -55,7 +55,7 @@ class WeightsCard:
             raise ValueError(f"format {values['format']}")
         network = values.pop("network")
         network["stage_channels"] = tuple(network["stage_channels"])
-        if {f.name for f in fields(LSNetConfig)} != set(network):
+        if not set(network) <= {f.name for f in fields(LSNetConfig)}:
             raise ValueError("another network description")
         return cls(network=LSNetConfig(**network), **values)
 

@@ -130,10 +130,11 @@ class Use(StrEnum):
     LINES = "lines"
 
 
-class Rival(StrEnum):
-    """Detectors of others that can be scored the same way."""
+class What(StrEnum):
+    """What is compared."""
 
-    LSD = "lsd"
+    NETWORKS = "networks"
+    ABLATIONS = "ablations"
 
 
 @app.command(name="eval")
@@ -152,7 +153,9 @@ def evaluate(
         int, typer.Option(metavar="N", min=0, help="Also score N drawn images: sAP, and cable by cable.")
     ] = 0,
     background: BackgroundOption = None,
-    rival: Annotated[Rival | None, typer.Option(help="Score this detector instead of weights.")] = None,
+    rival: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Instead of weights: lsd, or M-LSD's .tflite file.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score weights on folders of images, looked at as `detect` does.
@@ -167,11 +170,46 @@ def evaluate(
     from lsnet.evaluate_all import EvalTask, evaluate_all, open_finder
 
     task = EvalTask(tuple(folders or ()), use.value, paper, synthetic, tuple(background or ()))
-    finder, own = open_finder(weights, runtime, rival.value if rival else None)
+    finder, own = open_finder(weights, runtime, rival)
     with progress_bar("eval", task.count_images()) as advance:
         reports = evaluate_all(finder, task, own if min_score is None else min_score, on_image=advance)
     for report in reports:
         typer.echo(json.dumps(report.to_dict()) if as_json else str(report))
+
+
+@app.command()
+def compare(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Evaluation sets with truth.")],
+    run: RunOption,
+    what: Annotated[What, typer.Option(help="Networks of several sizes, or the paper's choices.")] = (
+        What.NETWORKS
+    ),
+    background: BackgroundOption = None,
+    images: Annotated[int, typer.Option(min=1, help="Drawn images to train on.")] = 3700,
+    steps: Annotated[int, typer.Option(min=1, help="Batches each is trained on.")] = 1500,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
+    chart: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw ODS against time as SVG.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Train several networks or losses for a short while on the same drawn images; score and time each.
+
+    Kill it and run it again: it goes on where it was.
+
+    Example: lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
+    """
+    from lsnet.compare import CANDIDATES, Comparison, compare_all
+    from lsnet.compare_table import table, write_chart
+
+    comparison = Comparison(run, tuple(background or ()), tuple(folders), images, steps)
+    candidates = CANDIDATES[what.value]
+    with progress_bar("compare", len(candidates) * steps) as advance:
+        rows = compare_all(comparison, candidates, workers=workers, report=advance)
+    if chart:
+        write_chart(rows, chart)
+    for line in [json.dumps(asdict(row)) for row in rows] if as_json else table(rows):
+        typer.echo(line)
 
 
 @app.command()

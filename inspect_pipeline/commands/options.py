@@ -75,4 +75,6 @@ WireOption = Annotated[
     float,
     typer.Option("--wire", min=0.1, metavar="MM", help="Diameter of a conductor, whose width is told."),
 ]
-RuntimeOption = Annotated[str, typer.Option(metavar="NAME", help="auto, torch or openvino.")]
+RuntimeOption = Annotated[
+    str, typer.Option(metavar="NAME", help="auto, torch, openvino, openvino-bf16 or openvino-int8.")
+]

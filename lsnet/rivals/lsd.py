@@ -1,8 +1,4 @@
-"""OpenCV's Line Segment Detector (von Gioi et al.), with length for a score.
-
-Score thresholds are then length filters: 1 - exp(-length / 100 px), so that the thresholds from 0.05 to 0.95
-are lengths from 5 to 300 px, and the best F1 over thresholds is that of the best length filter.
-"""
+"""OpenCV's Line Segment Detector (von Gioi et al.), a rival that was not trained."""
 
 from __future__ import annotations
 
@@ -11,19 +7,18 @@ from typing import TYPE_CHECKING, ClassVar
 import cv2
 import numpy as np
 
-from lsnet.geometry import length
-from lsnet.segments import Detections, Lines, Segments
+from lsnet.rivals.lengths import by_length
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-SCORE_LENGTH_PX = 100.0
+    from lsnet.segments import Detections
 
 
 class LSD:
-    """Each segment is told as a line too."""
+    """Each segment is told as a line too, with its length for a score."""
 
     min_score: ClassVar[float] = 0.5  # 69 px
 
@@ -35,10 +30,6 @@ class LSD:
         return [self._detect(image) for image in images]
 
     def _detect(self, image: NDArray[np.uint8]) -> Detections:
-        size = (image.shape[0], image.shape[1])
         found = self._lsd.detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))[0]
         ends = np.zeros((0, 4), np.float32) if found is None else found.reshape(-1, 4) + np.float32(0.5)
-        scores = (1 - np.exp(-length(ends) / SCORE_LENGTH_PX)).astype(np.float32)
-        pieces = tuple(ends.reshape(-1, 2, 2))
-        line_of = np.arange(len(ends), dtype=np.int32)
-        return Detections(Segments(ends, scores, size), Lines(pieces, scores, size), line_of)
+        return by_length(ends, (image.shape[0], image.shape[1]))

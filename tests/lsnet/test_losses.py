@@ -7,7 +7,16 @@ import math
 import pytest
 import torch
 
-from lsnet.losses import MultiTaskLoss, endpoint_error, focal_loss, wing_loss
+from lsnet.losses import (
+    MultiTaskLoss,
+    endpoint_error,
+    focal_loss,
+    l2_loss,
+    of_main_grid,
+    ordered_error,
+    smooth_l1_loss,
+    wing_loss,
+)
 from lsnet.model import RawOutput
 
 E = torch.tensor([[0.1, 0.2, 0.8, 0.9]], dtype=torch.float64)
@@ -50,6 +59,18 @@ def test_endpoint_error_has_no_order() -> None:
     expected = endpoint_error(predicted, target)
     torch.testing.assert_close(endpoint_error(predicted[:, swap], target), expected)
     torch.testing.assert_close(endpoint_error(predicted, target[:, swap]), expected)
+
+
+def test_an_ordered_error_counts_ends_from_left_to_right() -> None:
+    target = torch.tensor([[0.8, 1.0, 0.2, 0.2]], dtype=torch.float64)
+    assert ordered_error(E, target).item() == pytest.approx(0.1 + 0.1)
+    assert ordered_error(E[:, [2, 3, 0, 1]], target).item() == pytest.approx(0.6 + 0.7 + 0.7 + 0.8)
+
+
+def test_the_other_regression_losses_by_hand() -> None:
+    errors = torch.tensor([0.0, 0.5, 1.0, 3.0], dtype=torch.float64)
+    assert smooth_l1_loss(errors).tolist() == [0.0, 0.125, 0.5, 2.5]
+    assert l2_loss(errors).tolist() == [0.0, 0.125, 0.5, 4.5]
 
 
 def test_wing_loss_by_hand_and_continuous_at_w() -> None:
@@ -118,3 +139,18 @@ def test_an_image_without_lines_has_a_loss_and_no_regression() -> None:
     assert losses.regression.item() == 0
     assert losses.classification.item() > 0
     assert torch.isfinite(said.logits.grad).all()
+
+
+def test_other_losses_are_the_parts_asked_for() -> None:
+    told = MultiTaskLoss(error=ordered_error, regression="l2")(output(), LABELS, TARGETS)
+    assert told.regression.item() == pytest.approx((3.9**2 + 2**2) / 2 / 2)  # ends 1 1 0 0.1 are not swapped
+    smooth = MultiTaskLoss(regression="smooth_l1")(output(), LABELS, TARGETS)
+    assert smooth.regression.item() == pytest.approx((0.1**2 / 2 + 1.5) / 2)
+
+
+def test_the_main_grid_alone_is_every_second_row_and_column() -> None:
+    kept = of_main_grid(torch.ones(3, 5), 0.0)
+    assert kept.tolist() == [[1, 0, 1, 0, 1], [0] * 5, [1, 0, 1, 0, 1]]
+    said = output()
+    MultiTaskLoss(main_grid_only=True)(said, LABELS, TARGETS).total.backward()
+    assert said.logits.grad[0, :, 0].abs().sum(0).gt(0).tolist() == [True, False, False, False]

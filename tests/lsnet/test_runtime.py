@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -13,14 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nets import TINY, save_tiny, tiny_net
 
-from lsnet import Detector, LSNetError, tiles
+from lsnet import Detector, LSNetError, load_weights, tiles
 from lsnet.model import PRESETS
 from lsnet.runtime import Deployed, OpenVinoBackend, TorchBackend, open_backend
 from lsnet.weights import Weights, WeightsCard
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -90,6 +91,51 @@ def test_openvino_agrees_with_torch_on_whole_presets(preset: str) -> None:
     assert_close(OpenVinoBackend(net).run(images), [plain_torch(net, i) for i in images], tolerance=1e-3)
 
 
+@pytest.mark.slow
+def test_a_quantised_network_says_nearly_the_same(capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("nncf")
+    net, image = (
+        load_weights("fast").net,
+        cv2.imread(str(Path(__file__).parents[2] / "docs/images/renders.jpg")),
+    )
+    image = np.ascontiguousarray(image[:256, :512])
+    (expected,) = TorchBackend(net).run([image])
+    found = [OpenVinoBackend(net, "int8").run([image])[0] for _ in range(2)]
+    np.testing.assert_array_equal(found[0][0], found[1][0])  # the same network each time
+    assert capfd.readouterr().out == ""
+    assert np.abs(found[0][0] - expected[0]).mean() < 0.03
+    sure = expected[0] > 0.7
+    assert sure.sum() > 20
+    assert (found[0][0][sure] > 0.5).mean() > 0.97
+    assert np.median(np.abs(found[0][1] - expected[1])[sure]) < 0.03  # about a pixel
+    assert (found[0][0] != expected[0]).any()
+
+
+def test_nncf_that_is_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("openvino")
+    monkeypatch.setattr("lsnet.runtime.find_spec", lambda name: None if name == "nncf" else True)
+    with pytest.raises(LSNetError, match=r"NNCF is not installed; pip install 'lsnet-pipe\[int8\]'"):
+        open_backend(tiny_net(), "openvino-int8")
+
+
+def test_runtimes_have_the_precision_in_their_name() -> None:
+    ov = pytest.importorskip("openvino")
+    has_bf16 = "BF16" in ov.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+    for name, precision in (
+        ("openvino", "f32"),
+        ("openvino-bf16", "bf16"),
+        ("auto", ["f32", "bf16"][has_bf16]),
+    ):
+        backend = open_backend(tiny_net(), name)
+        assert (backend.name, backend.precision) == ("openvino", precision)
+    image = photo(64, 64)
+    assert_close(
+        open_backend(tiny_net(), "openvino-bf16").run([image]),
+        [plain_torch(tiny_net(), image)],
+        tolerance=0.05,
+    )
+
+
 def test_runtimes_by_name() -> None:
     assert open_backend(tiny_net(), "torch").name == "torch"
     with pytest.raises(LSNetError, match="no runtime 'tensorrt'; choose one of auto, torch, openvino"):
@@ -99,8 +145,9 @@ def test_runtimes_by_name() -> None:
 def test_openvino_that_is_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lsnet.runtime.find_spec", lambda _name: None)
     assert open_backend(tiny_net(), "auto").name == "torch"
-    with pytest.raises(LSNetError, match="pip install"):
-        open_backend(tiny_net(), "openvino")
+    for name in ("openvino", "openvino-bf16", "openvino-int8"):
+        with pytest.raises(LSNetError, match=r"pip install 'lsnet-pipe\[openvino\]'"):
+            open_backend(tiny_net(), name)
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,0 +1,116 @@
+"""A set of drawn images kept on disk, so that networks and losses are compared on the very same ones."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from torch.utils.data import DataLoader, Dataset
+
+from lsnet.errors import LSNetError
+from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
+from lsnet.synth.dataset import Sample, SyntheticScenes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+DRAWN_PX = 384
+IMAGES_FILE, LINES_FILE = "images.npy", "lines.npz"
+
+
+class _Drawn(Dataset[Sample]):
+    def __init__(self, scenes: SyntheticScenes) -> None:
+        self._scenes = scenes
+
+    def __getitem__(self, index: int) -> Sample:
+        return self._scenes[index]
+
+
+def draw_set(
+    folder: Path,
+    backgrounds: Sequence[str],
+    count: int,
+    *,
+    seed: int,
+    workers: int,
+    on_image: Callable[[], None] = lambda: None,
+) -> None:
+    """Fill a folder with `count` drawn images and their lines; what is there already is kept.
+
+    backgrounds: DIR or DIR:FIRST. Raises LSNetError for folders without images or one that cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise LSNetError(f"{folder}: cannot be made a folder ({err.strerror}); name another") from err
+    if (folder / LINES_FILE).exists():
+        return
+    scenes = SyntheticScenes(
+        BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds]), DRAWN_PX, seed
+    )
+    shape = (count, DRAWN_PX, DRAWN_PX, 3)
+    images = np.lib.format.open_memmap(folder / IMAGES_FILE, mode="w+", dtype=np.uint8, shape=shape)
+    drawn = DataLoader(_Drawn(scenes), batch_size=None, sampler=range(count), num_workers=workers)
+    lines = []
+    for i, sample in enumerate(drawn):
+        images[i] = sample.image
+        lines.append(sample.lines)
+        on_image()
+    images.flush()
+    _save_lines(folder / LINES_FILE, lines)
+
+
+def _save_lines(path: Path, lines: list[list[NDArray[np.float64]]]) -> None:
+    """Points of all lines one after the other, and of each line its image and number of points."""
+    flat = [(i, line) for i, of_image in enumerate(lines) for line in of_image]
+    partial = path.with_name(f"partial-{path.name}")
+    np.savez(
+        partial,
+        points=np.concatenate([line for _, line in flat] or [np.zeros((0, 2))]),
+        counts=np.array([len(line) for _, line in flat], int),
+        image=np.array([i for i, _ in flat], int),
+    )
+    os.replace(partial, path)  # noqa: PTH105
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crops:
+    """Random square crops, mirrored, of the images of a set from `first` to `last`."""
+
+    images: NDArray[np.uint8]
+    lines: list[list[NDArray[np.float64]]]
+    first: int
+    last: int
+    size: int
+    seed: int
+
+    @classmethod
+    def of(cls, folder: Path, first: int, last: int, *, size: int, seed: int) -> Crops:
+        """Crops of a folder that `draw_set` has filled."""
+        images = np.load(folder / IMAGES_FILE, mmap_mode="r")
+        with np.load(folder / LINES_FILE) as kept:
+            points = np.split(kept["points"], np.cumsum(kept["counts"])[:-1])
+            owners = kept["image"]
+        lines: list[list[NDArray[np.float64]]] = [[] for _ in images]
+        for owner, line in zip(owners, points, strict=False):  # one empty piece where there are no lines
+            lines[owner].append(line)
+        return cls(images, lines, first, last, size, seed)
+
+    def __getitem__(self, index: int) -> Sample:
+        rng = np.random.default_rng([self.seed, index])
+        which = int(rng.integers(self.first, self.last))
+        spare = np.array(self.images.shape[1:3]) - self.size
+        y, x = rng.integers(0, spare + 1)
+        image = self.images[which, y : y + self.size, x : x + self.size]
+        lines = [line - (x, y) for line in self.lines[which]]
+        for axis in (0, 1):
+            if rng.random() < 0.5:
+                image = np.flip(image, 1 - axis)
+                for line in lines:
+                    line[:, axis] = self.size - line[:, axis]
+        return Sample(np.ascontiguousarray(image), lines)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from lsnet.synth.borders import half_plane, roadside
 from lsnet.synth.plants import branches, cracks, foliage, shrub, trunk
-from lsnet.synth.structures import building, fence, furrows, markings, struts, tile_grid
+from lsnet.synth.structures import building, fence, furrows, markings, shadows, struts, tile_grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +27,7 @@ KINDS: dict[Callable[[Image, Rng], None], float] = {
     markings: 0.14,
     tile_grid: 0.18,
     cracks: 0.10,
+    shadows: 0.22,
     building: 0.12,
     foliage: 0.22,
     fence: 0.08,

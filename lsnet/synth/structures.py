@@ -1,4 +1,4 @@
-"""What people build and mark: roofs, lattices, paving, fences, road paint, furrows."""
+"""What people build and mark: roofs, lattices, paving, fences, road paint, furrows, shadows of wires."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from lsnet.synth.brush import SCALE, SHIFT, anywhere, perspective, put, stroke
+from lsnet.synth.brush import SCALE, SHIFT, anywhere, direction, perspective, put, stroke
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Image = NDArray[np.uint8]
     Rng = np.random.Generator
+
+LEAST_SHADOWED_PX = 256
 
 
 def building(image: Image, rng: Rng) -> None:
@@ -115,3 +117,27 @@ def furrows(image: Image, rng: Rng) -> None:
     if rng.random() < 0.5:
         rows = np.sign(rows) * np.abs(rows) ** np.float32(0.4)
     put(image, image + (rows * np.float32(rng.uniform(6, 40)))[..., None])
+
+
+def shadows(image: Image, rng: Rng) -> None:
+    """What the sun makes of wires: soft dark lines through which the ground is seen.
+
+    None in small pictures, in which nobody can tell a thin shadow from a thin dark wire.
+    """
+    height, width = image.shape[:2]
+    if min(height, width) < LEAST_SHADOWED_PX:
+        return
+    reach = float(np.hypot(height, width))
+    middle, angle, bend = anywhere(image, rng, 0), rng.uniform(0, np.pi), rng.normal(0, 0.02) / reach
+    t = np.linspace(-1, 1, 25)[:, None] * reach
+    shade, thickness = np.zeros((height, width), np.uint8), rng.uniform(1.5, 7)
+    gap = rng.uniform(2.5, 8) * thickness if rng.random() < 0.5 else rng.uniform(10, 150)
+    for k in range(int(rng.integers(1, 5))):
+        turned = angle + rng.normal(0, 0.01)
+        along, across = direction(turned), direction(turned + np.pi / 2)
+        line = middle + along * t + across * (k * gap * rng.uniform(0.8, 1.2) + bend * t**2)
+        fixed = np.round((line - 0.5) * SCALE).astype(np.int32)
+        cv2.polylines(shade, [fixed], False, 255, max(1, round(thickness)), cv2.LINE_AA, SHIFT)
+    soft = np.asarray(cv2.GaussianBlur(shade, (0, 0), rng.uniform(0.25, 0.6) * thickness + 0.4), np.float32)
+    deep = rng.uniform(0.2, 0.65) * np.array([1.0, 0.97, 0.9])  # the sky still lights it
+    put(image, image * (1 - soft[..., None] / 255 * deep))

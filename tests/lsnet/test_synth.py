@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lsnet.errors import LSNetError
-from lsnet.synth import augment, borders, clutter, dataset, scene
+from lsnet.synth import augment, borders, clutter, dataset, scene, structures
 from lsnet.synth.augment import PHOTOMETRIC, elastic
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool, cut_out, load_rgb, plain, vegetation
 from lsnet.synth.cables import Arc, Finish, draw_cable
@@ -370,11 +370,28 @@ def test_a_road_side_leaves_one_side_as_it_was() -> None:
 
 @pytest.mark.parametrize("paint", clutter.KINDS, ids=lambda f: f.__name__)
 def test_clutter_paints_and_is_the_same_for_the_same_seed(paint: Callable[..., None]) -> None:
-    images = [np.full((96, 96, 3), 120, np.uint8) for _ in range(5)]
+    images = [np.full((256, 256, 3), 120, np.uint8) for _ in range(5)]
     for image, seed in zip(images, (0, 1, 2, 3, 0), strict=True):
         paint(image, rng(seed))
     np.testing.assert_array_equal(images[0], images[4])
     assert any((image != 120).any() for image in images)
+
+
+def test_shadows_are_dark_lines_through_which_the_ground_is_seen() -> None:
+    """Of bright and dark stripes the same share of the light is left; small pictures have none."""
+    ground = np.full((300, 300, 3), 200, np.uint8)
+    ground[:, ::2] = 100
+    for seed in range(5):
+        shaded = ground.copy()
+        structures.shadows(shaded, rng(seed))
+        left = shaded / ground.astype(float)
+        assert left.max() <= 1
+        assert 0.3 < left.min() < 0.95
+        assert 0.01 < (left.min(axis=2) < 0.97).mean() < 0.6
+        np.testing.assert_allclose(left[:, ::2].mean(), left[:, 1::2].mean(), atol=0.01)
+    small = np.full((128, 128, 3), 200, np.uint8)
+    structures.shadows(small, rng())
+    assert (small == 200).all()
 
 
 def test_scenes_are_the_same_for_the_same_seed_and_index(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from inspect_pipeline.flight import ANNOTATED
 from inspect_pipeline.joining import join_parts
 from inspect_pipeline.parts import find_parts
 from inspect_pipeline.recording import open_recording
+from inspect_pipeline.recording_extents import reading
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -81,12 +82,23 @@ def open_source(path: Path, *, strict: bool = False) -> Source:
 
     Raises RecordingError when it is none, or damaged and `strict`.
     """
+    return Source(path, tuple(open_recording(each, strict=strict) for each in _files_of(path)))
+
+
+def check_source(path: Path) -> None:
+    """Raise the RecordingError of `open_source` for what can be told at once, such as a missing file."""
+    for each in _files_of(path):
+        with reading(each):
+            pass
+
+
+def _files_of(path: Path) -> list[Path]:
     paths = find_parts(path) if path.is_dir() else [path]
     if not paths:
         raise RecordingError(
             path, "the folder has no recording", f"make one of photographs: lsnet-pipe pack {path} FILE"
         )
-    return Source(path, tuple(open_recording(each, strict=strict) for each in paths))
+    return paths
 
 
 def open_images(flight: FlightRecord, folder: Path) -> Source:

@@ -284,6 +284,18 @@ def test_a_missing_recording_is_told_alike(run: Callable[..., Outcome], command:
     assert outcome.exit_code == 1
 
 
+def test_no_detector_is_loaded_for_what_is_not_there(
+    run: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FakeDetector, "load", None)
+    (tmp_path / "empty").mkdir()
+    outcome = run("process", "none.mcap", "empty")
+    assert (outcome.exit_code, outcome.out) == (1, "")
+    first, second = outcome.err.splitlines()
+    assert first == "error: none.mcap: there is no such file; check the name"
+    assert second.startswith("error: empty: the folder has no recording; ")
+
+
 @pytest.mark.parametrize("store", ["taken", "taken/below", "/sys/lsnet-pipe"])
 def test_a_store_that_cannot_be_written_is_one_line(
     run: Callable[..., Outcome], tmp_path: Path, store: str

@@ -69,11 +69,9 @@ def process(
 
     Example: lsnet-pipe process flight.mcap --store /data/inspections --json
     """
-    from inspect_pipeline import config, index, pipeline
+    from inspect_pipeline import config
     from inspect_pipeline.errors import InspectError, StoreError
-    from inspect_pipeline.runs import save_run, summarize_process
     from inspect_pipeline.store import Store, store_path
-    from lsnet import Detector
 
     options = config.ProcessOptions(
         tuple(topic) if topic else None,
@@ -87,6 +85,14 @@ def process(
         placing=config.PlacingOptions(ground_alt, view, wire / 1000),
     )
     the_store = Store(store_path(store))
+    there, exit_code = _those_that_are_there(files)
+    if not there:
+        raise typer.Exit(exit_code)
+
+    from inspect_pipeline import index, pipeline
+    from inspect_pipeline.runs import save_run, summarize_process
+    from lsnet import Detector
+
     detector = Detector.load(weights, scale=scale, min_score=min_score)
     run = config.start_run(detector, options)
 
@@ -101,8 +107,8 @@ def process(
                 on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
             )
 
-    results, n_failed, exit_code = [], 0, 0
-    for path in files:
+    results, n_failed = [], len(files) - len(there)
+    for path in there:
         try:
             results.append(process_one(path))
             _warn(results[-1])
@@ -120,6 +126,23 @@ def process(
         index.publish(the_store)
     _print_results(results, as_json=as_json)
     raise typer.Exit(exit_code)
+
+
+def _those_that_are_there(files: list[Path]) -> tuple[list[Path], int]:
+    """The recordings that a detector is worth loading for; of the others the errors are told."""
+    from inspect_pipeline.errors import InspectError
+    from inspect_pipeline.sources import check_source
+
+    there, exit_code = [], 0
+    for path in files:
+        try:
+            check_source(path)
+        except InspectError as error:
+            typer.echo(f"error: {error}", err=True)
+            exit_code = error.exit_code
+        else:
+            there.append(path)
+    return there, exit_code
 
 
 def _warn(result: ProcessResult) -> None:

@@ -13,7 +13,7 @@ from nets import TINY, save_tiny
 from typer.testing import CliRunner
 
 import cli
-from lsnet import LSNetError, load_weights, model, train
+from lsnet import LSNetError, compare, load_weights, model, train
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -149,6 +149,31 @@ def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyP
         cli.app, ["detect", "photos/0.png", "--json", "--weights", "mine.safetensors", "--runtime", "torch"]
     )
     assert json.loads(found.stdout)["path"] == "photos/0.png"
+
+
+def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(compare.CANDIDATES, "networks", (compare.Candidate("small", TINY),))
+    monkeypatch.setattr(compare, "cpu_ms_of", lambda _network: {"torch": 2.0, "openvino f32": 1.0})
+    monkeypatch.setattr(compare, "VALIDATION_IMAGES", 1)
+    words = (
+        "compare",
+        write_masks(tmp_path / "m"),
+        "--run",
+        "run",
+        "--images",
+        2,
+        "--steps",
+        1,
+        "--workers",
+        0,
+    )
+    made = run(*words, "--chart", "chart.svg")
+    assert (made.exit_code, made.stderr) == (0, "")
+    assert made.stdout.splitlines()[0].endswith("| ODS m | ms, torch | ms, openvino f32 |")
+    assert ">small</text>" in (tmp_path / "chart.svg").read_text()
+    (told,) = (json.loads(line) for line in run(*words, "--json").stdout.splitlines())
+    assert told["result"]["name"] == "small"
+    assert told["cpu_ms"] == {"torch": 2.0, "openvino f32": 1.0}
 
 
 def test_synth_and_train_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import cv2
+import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.synth.backgrounds import BackgroundFolder, load_rgb
@@ -13,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from lsnet.detector import Detector
@@ -67,6 +67,5 @@ def _corners(segments: Segments, side: int) -> Iterator[tuple[int, int]]:
             for at, most in zip(middles[0], (width, height), strict=True)
         )
         yield x, y
-        inside = ((middles >= (x, y)) & (middles <= (x + side, y + side))).all(axis=1)
-        inside[0] = True
-        middles = middles[~inside]
+        is_inside = np.all((middles >= (x, y)) & (middles <= (x + side, y + side)), axis=1)
+        middles = middles[1:][~is_inside[1:]]

@@ -1,8 +1,9 @@
 """Physically based pictures of cables with Mitsuba 3 (extra `synth`): PNG with alpha, their truth as JSON.
 
-Stranded aluminium, insulated and rusty cables, alone, in families and in bundles with spacers, poles that
-hide them now and then; lit by environment maps or a sunny sky; out of focus by a real lens. Picture i of a
-seed is always the same scene, and is written once: a stopped run goes on where it was.
+Stranded aluminium, insulated and rusty cables, alone, in families and in bundles with spacers, now and then
+held by strings of insulators, with a pole or a lattice tower beside them; lit by environment maps or a sunny
+sky; out of focus by a real lens. Picture i of a seed is always the same scene, and is written once: a stopped
+run goes on where it was.
 """
 
 from __future__ import annotations
@@ -21,17 +22,21 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.synth.conductors import Camera, Hang, strands
+from lsnet.synth.hardware import insulators, lattice_tower, pole, triple
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
+    from lsnet.synth.hardware import Rod
+
     Rng = np.random.Generator
 
 LEAST_STRANDED_PX = 4.0  # strands of thinner cables cannot be seen
 MARGIN = 1.3  # of what the camera sees, that cables reach beyond it on either side
 SAMPLES = 32  # rays a pixel
+INSULATED_SHARE = 0.15  # of cables or bundles hang from a string of insulators that is seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +51,11 @@ class Cable:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A scene before it is rendered; rods are cylinders from, to, radius in metres: poles and spacers."""
+    """A scene before it is rendered; the rods are spacers, insulators, poles and towers."""
 
     camera: Camera
     cables: tuple[Cable, ...]
-    rods: tuple[tuple[tuple[float, ...], tuple[float, ...], float], ...]
+    rods: tuple[Rod, ...]
     half_length_m: float
     aperture_m: float
     focus_m: float
@@ -73,20 +78,29 @@ def lay_out(rng: Rng, size: int) -> Layout:
     )
     origin = distance_m * view
     seen_m = size / focal_px * distance_m
-    camera = Camera(_triple(origin), (0.0, 0.0, 0.0), fov_deg, size)
+    camera = Camera(triple(origin), (0.0, 0.0, 0.0), fov_deg, size)
     cables, rods = _family(rng, seen_m, radius_m, width_px)
-    if rng.random() < 0.2:
-        foot = np.array([rng.uniform(-0.4, 0.4) * seen_m, rng.uniform(-0.3, 0.3) * seen_m, 0])
-        reach = np.array([0, 0, seen_m])
-        rods.append((_triple(foot - reach), _triple(foot + reach * rng.uniform(0.05, 1)), seen_m * 0.03))
+    rods += _structure(rng, seen_m)
     aperture_m = distance_m * rng.uniform(0.0005, 0.004)
     focus_m = distance_m * float(np.exp(rng.normal(0, 0.08)))
     return Layout(camera, tuple(cables), tuple(rods), MARGIN * seen_m, aperture_m, focus_m)
 
 
-def _family(rng: Rng, seen_m: float, radius_m: float, width_px: float) -> tuple[list[Cable], list[Any]]:
+def _structure(rng: Rng, seen_m: float) -> list[Rod]:
+    """A pole or a lattice tower in one of four scenes."""
+    if rng.random() > 0.25:
+        return []
+    foot = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3), -1]) * seen_m
+    height_m = seen_m * rng.uniform(1.05, 2)
+    if rng.random() < 0.5:
+        return pole(foot, height_m, seen_m * 0.03)
+    return lattice_tower(foot, height_m, seen_m * rng.uniform(0.15, 0.5), int(rng.integers(4, 12)))
+
+
+def _family(rng: Rng, seen_m: float, radius_m: float, width_px: float) -> tuple[list[Cable], list[Rod]]:
     """Cables side by side through what is seen, each alone or a bundle of 2 to 4 with spacers."""
-    cables, rods = [], []
+    cables: list[Cable] = []
+    rods: list[Rod] = []
     curvature, slope = abs(rng.normal(0, 0.06)) / seen_m, rng.normal(0, 0.08)
     along = np.array([np.cos(slope), 0.0, np.sin(slope)])
     in_bundle = int(rng.choice([1, 2, 3, 4], p=[0.7, 0.15, 0.05, 0.1]))
@@ -96,12 +110,14 @@ def _family(rng: Rng, seen_m: float, radius_m: float, width_px: float) -> tuple[
         corners = [place + gap_m * np.array(c) / 2 for c in _BUNDLES[in_bundle]]
         material, is_stranded = _material(rng, width_px)
         cables += [
-            Cable(Hang(_triple(corner), _triple(along), curvature), radius_m, material, is_stranded)
+            Cable(Hang(triple(corner), triple(along), curvature), radius_m, material, is_stranded)
             for corner in corners
         ]
         at = rng.uniform(-0.4, 0.4) * seen_m * along
         at[2] += curvature * (at @ along) ** 2 / 2
-        rods += [(_triple(a + at), _triple(b + at), radius_m * 0.8) for a, b in pairwise(corners)]
+        rods += [(triple(a + at), triple(b + at), radius_m * 0.8) for a, b in pairwise(corners)]
+        if rng.random() < INSULATED_SHARE:
+            rods += insulators(corners[0] + at, int(rng.integers(3, 16)))
     return cables, rods
 
 
@@ -136,11 +152,6 @@ def _material(rng: Rng, width_px: float) -> tuple[dict[str, Any], bool]:
     return {"type": "roughplastic", "diffuse_reflectance": diffuse, "alpha": 0.25}, False
 
 
-def _triple(vector: NDArray[np.floating]) -> tuple[float, float, float]:
-    x, y, z = vector.tolist()
-    return x, y, z
-
-
 def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES) -> NDArray[np.uint8]:
     """(H, W, 4) sRGB and alpha, not multiplied in, of a scene under an environment map or a sunny sky.
 
@@ -170,11 +181,25 @@ def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES)
             path = Path(folder) / f"{k}.txt"
             path.write_text(_curves(cable, layout.half_length_m))
             scene[f"cable{k}"] = {"type": "bsplinecurve", "filename": str(path), "bsdf": cable.material}
-        for k, (start, end, radius_m) in enumerate(layout.rods):
+        for k, rod in enumerate(layout.rods):
             grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": float(rng.uniform(0.1, 0.5))}}
-            scene[f"rod{k}"] = {"type": "cylinder", "p0": start, "p1": end, "radius": radius_m, "bsdf": grey}
+            scene |= {f"rod{k}_{i}": shape | {"bsdf": grey} for i, shape in enumerate(_shapes(mi, rod))}
         pixels = np.array(mi.render(mi.load_dict(scene)), np.float64)
     return _developed(pixels, rng)
+
+
+def _shapes(mi: Any, rod: Rod) -> list[dict[str, Any]]:
+    """A cylinder; one that is wider than long, with its two ends closed."""
+    start, end, radius_m = rod
+    shapes: list[dict[str, Any]] = [{"type": "cylinder", "p0": start, "p1": end, "radius": radius_m}]
+    axis = np.subtract(end, start)
+    if np.linalg.norm(axis) < 2 * radius_m:
+        for place, outwards in ((start, -axis), (end, axis)):
+            facing = mi.ScalarTransform4f().look_at(
+                origin=place, target=triple(place + outwards), up=[1, 0, 0]
+            )
+            shapes.append({"type": "disk", "to_world": facing @ mi.ScalarTransform4f().scale(radius_m)})
+    return shapes
 
 
 def _curves(cable: Cable, half_length_m: float) -> str:

@@ -18,8 +18,7 @@ import numpy as np
 from inspect_pipeline.anomaly_frames import FRAME_RULES
 from inspect_pipeline.anomaly_lines import LINE_RULES
 from inspect_pipeline.anomaly_spans import find_on_spans
-from inspect_pipeline.coverage import find_origin
-from inspect_pipeline.observations import judge_frames
+from inspect_pipeline.observations import find_origin, judge_frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

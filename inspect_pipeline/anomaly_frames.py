@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inspect_pipeline.observations import runs_of
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -111,9 +113,3 @@ FRAME_RULES = (
     find_clock_steps,
     find_stale_poses,
 )
-
-
-def runs_of(mask: NDArray[np.bool_], min_length: float) -> list[NDArray[np.int64]]:
-    """The rows of each run of True that is long enough."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
-    return [np.arange(first, stop) for first, stop in edges.tolist() if stop - first >= min_length]

@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.anomaly_frames import Finding, runs_of
+from inspect_pipeline.anomaly_frames import Finding
+from inspect_pipeline.observations import runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from inspect_pipeline.anomaly_spans import SpanEvidence
     from inspect_pipeline.projection import LocalMetres
     from inspect_pipeline.rules import Rules
+    from inspect_pipeline.span_evidence import SpanEvidence
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
@@ -33,6 +34,7 @@ _NOISE_M = 0.05  # of a crossing
 _TURNS = 8
 _MIN_DEPTH_M = 1.0
 _MISFIT_QUANTILE = 0.8
+_MIN_FITTING = 0.85  # of the crossings of a track; else it went over to another conductor amid the span
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +43,7 @@ class Lane:
 
     sights (C,) are its crossings of bins in frames, as one number in order, across_m (C,) where it appears
     there. sag_m: how low it hangs in the middle, as a parabola, and misfit_m how far it is from one; NaN
-    where too little of it is seen.
+    where too little of it is seen, or it is parts of two conductors.
     """
 
     track: int
@@ -130,6 +132,8 @@ def _fit_sag(seen: Sights, length_m: float) -> tuple[float, float]:
         depth_m = np.maximum(seen.above_m - raised_m + sag_m * parabola, _MIN_DEPTH_M)
         away = np.abs(seen.slope * depth_m - (y_m - seen.side_m))
         fits = away <= 4 * max(float(np.median(away)), 0.01)
+    if fits.mean() < _MIN_FITTING:
+        return float("nan"), float("nan")
     return sag_m, float(np.quantile(away, _MISFIT_QUANTILE))
 
 

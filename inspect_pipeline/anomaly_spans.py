@@ -1,8 +1,4 @@
-"""Rules about the conductors of a span, which is looked at bin by bin, over all frames that show it.
-
-How many conductors a frame shows in a bin is one number; what counts is the median over frames, so that a
-line missed here or clutter taken for one there says nothing.
-"""
+"""Rules about the conductors of a span, which is looked at bin by bin, over all frames that show it."""
 
 from __future__ import annotations
 
@@ -11,25 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.anomaly_frames import Finding, runs_of
+from inspect_pipeline.anomaly_frames import Finding
 from inspect_pipeline.anomaly_lanes import find_converging, find_sag_changes, make_lanes
-from inspect_pipeline.coverage import find_origin, is_near
-from inspect_pipeline.observations import (
-    NO_TRACK,
-    completed_lines,
-    judge_frames,
-    place_cameras,
-    tracked_lines,
-)
-from inspect_pipeline.span_views import SpanAxis, SpanView, make_axis, view_span, visible_gsd_m
+from inspect_pipeline.observations import completed_lines, find_origin, judge_frames, runs_of, tracked_lines
+from inspect_pipeline.span_evidence import SpanEvidence, gather_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from inspect_pipeline.observations import CameraRows, LineRows
-    from inspect_pipeline.projection import Cameras, LocalMetres
+    from inspect_pipeline.observations import CameraRows
+    from inspect_pipeline.projection import LocalMetres
     from inspect_pipeline.rules import Rules
     from inspect_pipeline.spans import Span
 
@@ -39,36 +28,6 @@ if TYPE_CHECKING:
 
 
 _SMOOTHED_FRAMES = 31
-_SAME_PX = 8.0  # between two lines that are one
-_FAR_APART_M = 1000.0
-_OUTERMOST = (0.02, 0.98)  # quantiles of where lines lie across
-
-
-@dataclass(frozen=True, eq=False)
-class SpanEvidence:
-    """What the frames of a camera show of the conductors of a span.
-
-    counts (N, B): conductors side by side in a bin, NaN where a frame does not show it. level (B,) is the
-    median over frames, NaN for bins that too few frames show. view has what was found in the very frames.
-    """
-
-    axis: SpanAxis
-    view: SpanView
-    cameras: Cameras
-    lines_track: Ints
-    counts: Floats
-    level: Floats
-
-    def rows_showing(self, bins: Ints) -> Ints:
-        """The frames from the first to the last that show at least half as many of some bins as any does."""
-        shown = np.isfinite(self.counts[:, bins]).sum(axis=1)
-        rows = np.flatnonzero(shown >= max(1.0, shown.max() / 2))
-        return np.arange(rows[0], rows[-1] + 1)
-
-    def place(self, bins: Ints, origin: LocalMetres) -> tuple[float, float]:
-        """Latitude and longitude of the middle of some bins."""
-        lat_deg, lon_deg = origin.to_degrees(self.axis.middles[bins, :2].mean(axis=0))
-        return float(lat_deg), float(lon_deg)
 
 
 def find_on_spans(
@@ -94,63 +53,6 @@ def find_on_spans(
     return found
 
 
-def gather_evidence(
-    camera: CameraRows, spans: Sequence[Span], origin: LocalMetres, is_usable: Mask, rules: Rules
-) -> list[SpanEvidence]:
-    """The evidence of each span that enough frames of a camera show."""
-    lines = completed_lines(tracked_lines(camera.lines, rules), rules.tracks["max_coast_frames"])
-    if not len(lines) or not np.any(lines.track != NO_TRACK):
-        return []
-    cameras = place_cameras(camera.frames, origin, rules)
-    cameras.positions[~is_usable] = np.nan
-    path = cameras.positions[np.isfinite(cameras.positions).all(axis=1), :2]
-    seen = []
-    for span in spans:
-        axis = make_axis(span, origin, rules)
-        if not is_near(axis.middles[:, :2], path, rules.coverage["near_m"]):
-            continue
-        view = _without_echoes(view_span(axis, cameras, lines, rules), lines)
-        counts = np.where(_shows_all(axis, view, cameras, rules), 0.0, np.nan)
-        # Pieces of one track are one conductor, however they overlap.
-        each = np.unique(np.column_stack((view.frame, view.bin, lines.track[view.line])), axis=0)
-        np.add.at(counts, (each[:, 0], each[:, 1]), 1.0)
-        level = _level(counts, rules)
-        if np.isfinite(level).any():
-            found = view.select(lines.picture[view.line] == view.frame)
-            seen.append(SpanEvidence(axis, found, cameras, lines.track, counts, level))
-    return seen
-
-
-def _without_echoes(view: SpanView, lines: LineRows) -> SpanView:
-    """The view without lines of an earlier frame where this one has a line at the same place.
-
-    That line went over to another track.
-    """
-    is_old = lines.picture[view.line] != view.frame
-    place = (view.frame * view.gsd_m.shape[1] + view.bin) * _FAR_APART_M + view.across_m
-    found = np.sort(place[~is_old])
-    if not len(found):
-        return view
-    after = np.clip(np.searchsorted(found, place), 1, max(1, len(found) - 1))
-    nearest_m = np.minimum(
-        np.abs(place - found[after - 1]), np.abs(place - found[np.minimum(after, len(found) - 1)])
-    )
-    is_echo = is_old & (nearest_m <= _SAME_PX * view.gsd_m[view.frame, view.bin])
-    return view.select(~is_echo)
-
-
-def _shows_all(axis: SpanAxis, view: SpanView, cameras: Cameras, rules: Rules) -> Mask:
-    """(N, B) whether a frame shows a bin as far to both sides as there are lines in any."""
-    if not len(view.across_m):
-        return np.isfinite(view.gsd_m)
-    is_shown = np.ones(view.gsd_m.shape, bool)
-    middles = axis.start + axis.bins_m[:, np.newaxis] * axis.along
-    for side_m in np.quantile(view.across_m, _OUTERMOST):
-        places = np.column_stack((middles + side_m * axis.across, np.full(len(middles), axis.height_m)))
-        is_shown &= np.isfinite(visible_gsd_m(cameras, places, rules.anomalies["margin_px"]))
-    return is_shown
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CountRows:
     """Rows of the table conductor_counts of one camera and span: arrays (N,); None for the whole picture."""
@@ -173,7 +75,7 @@ def count_conductors(camera: CameraRows, spans: Sequence[Span], rules: Rules) ->
     for one in gather_evidence(camera, spans, origin, usable, rules) if origin else ():
         shown = np.isfinite(one.counts).any(axis=1)
         in_frame = np.full(len(usable), np.nan)
-        in_frame[shown] = np.nanmedian(one.counts[shown], axis=1)
+        in_frame[one.first_row + np.flatnonzero(shown)] = np.nanmedian(one.counts[shown], axis=1)
         yield _smooth(one.axis.span_id, camera, in_frame)
 
 
@@ -184,14 +86,6 @@ def _smooth(span_id: str | None, camera: CameraRows, counts: Floats) -> CountRow
     known = np.isfinite(counts)
     smooth = np.round(np.nanmedian(windows[known], axis=1)).astype(np.int64)
     return CountRows(span_id, camera.frames.frame_idx[known], smooth)
-
-
-def _level(counts: Floats, rules: Rules) -> Floats:
-    """The median over frames of each bin that enough of them show; NaN elsewhere."""
-    level = np.full(counts.shape[1], np.nan)
-    is_known = np.isfinite(counts).sum(axis=0) >= rules.anomalies["min_views"]
-    level[is_known] = np.round(np.nanmedian(counts[:, is_known], axis=0))
-    return level
 
 
 def _usual_count(levels: Sequence[Floats]) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,8 @@ import numpy as np
 from inspect_pipeline.projection import Cameras, LocalMetres, camera_axes
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from inspect_pipeline.rules import Rules
@@ -103,6 +105,19 @@ class LineRows:
             np.concatenate(([0], np.cumsum(counts[chosen]))).astype(np.int64),
             self.points[np.repeat(chosen, counts)],
         )
+
+    def of_frames(self, first: int, stop: int) -> LineRows:
+        """The lines of the frames first <= frame < stop."""
+        low, high = np.searchsorted(self.frame, (first, stop)).tolist()
+        at = self.first[low : high + 1]
+        taken = None if self.taken_from is None else self.taken_from[low:high]
+        points = self.points[at[0] : at[-1]]
+        return LineRows(self.frame[low:high], self.track[low:high], at - at[0], points, taken)
+
+    def counted_from(self, row: int) -> LineRows:
+        """The same lines, with frames numbered from a row."""
+        taken = None if self.taken_from is None else self.taken_from - row
+        return replace(self, frame=self.frame - row, taken_from=taken)
 
 
 @dataclass(frozen=True)
@@ -206,3 +221,18 @@ def path_metres(frames: FrameRows) -> Floats:
         so_far = np.concatenate(([0.0], np.cumsum(steps)))
         walked[known[0] :] = np.interp(np.arange(known[0], len(frames)), known, so_far)
     return walked
+
+
+def find_origin(cameras: Sequence[CameraRows]) -> LocalMetres | None:
+    """The first known position of a flight."""
+    for camera in cameras:
+        known = np.flatnonzero(np.isfinite(camera.frames.lat_deg) & np.isfinite(camera.frames.lon_deg))
+        if len(known):
+            return LocalMetres(camera.frames.lat_deg[known[0]], camera.frames.lon_deg[known[0]])
+    return None
+
+
+def runs_of(mask: Mask, min_length: float) -> list[Ints]:
+    """The rows of each run of True that is long enough."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+    return [np.arange(first, stop) for first, stop in edges.tolist() if stop - first >= min_length]

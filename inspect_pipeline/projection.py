@@ -57,7 +57,7 @@ class Cameras:
     focal_px: Floats
     sizes: Floats
 
-    def __getitem__(self, frames: NDArray[np.int64] | NDArray[np.bool_]) -> Cameras:
+    def __getitem__(self, frames: NDArray[np.int64] | NDArray[np.bool_] | slice) -> Cameras:
         return Cameras(self.positions[frames], self.axes[frames], self.focal_px[frames], self.sizes[frames])
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:

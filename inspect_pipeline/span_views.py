@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 
+_CELLS_AT_A_TIME = 1 << 18  # frames times places, so that memory does not grow with the flight
+
+
 @dataclass(frozen=True, eq=False)
 class SpanAxis:
     """A span in local metres, cut into bins: `middles` (B, 3) of them, on the axis of its conductors.
@@ -69,6 +72,18 @@ class SpanView:
         return SpanView(self.gsd_m, frame, line, bins, self.across_m[chosen])
 
 
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """The frames `rows` of a camera, from the first to the last that show a span, and their lines.
+
+    Lines count frames from the first of the rows.
+    """
+
+    rows: slice
+    cameras: Cameras
+    lines: LineRows
+
+
 def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
     """The axis of a span; conductors whose height is not known hang at the default, sagging as usual."""
     limits = rules.coverage
@@ -104,6 +119,22 @@ def visible_gsd_m(cameras: Cameras, points: Floats, margin_px: float = 0.0) -> F
         ranges_m = np.linalg.norm(points[np.newaxis] - cameras.positions[:, np.newaxis], axis=-1)
         gsd_m: Floats = np.where(is_seen, ranges_m / cameras.focal_px[:, np.newaxis], np.nan)
     return gsd_m
+
+
+def cut_to_sight(points: Floats, cameras: Cameras, lines: LineRows) -> Sight:
+    """What of a flight is about (P, 3) points: frames that see any of them, and those of their lines."""
+    step = max(1, _CELLS_AT_A_TIME // max(len(points), 1))
+    seen = [
+        start + np.flatnonzero(np.isfinite(visible_gsd_m(cameras[start : start + step], points)).any(axis=1))
+        for start in range(0, len(cameras.positions), step)
+    ]
+    rows = np.concatenate(seen) if seen else np.zeros(0, np.int64)
+    if not len(rows):
+        return Sight(slice(0, 0), cameras[:0], lines.of_frames(0, 0))
+    stop = int(rows[-1]) + 1
+    own = lines.of_frames(int(rows[0]), stop)
+    start = int(own.picture.min(initial=rows[0]))  # lines may be those of a picture before
+    return Sight(slice(start, stop), cameras[start:stop], own.counted_from(start))
 
 
 def view_span(
@@ -156,3 +187,12 @@ def _crossings(
     _, once = np.unique(key, return_index=True)
     owner = owner[piece][once]
     return lines.frame[owner], owner, bins[once], across_m[once]
+
+
+def is_near(places: Floats, path: Floats, near_m: float) -> bool:
+    """Whether any of (B, 2) places is within a distance of any of (N, 2) places of a path."""
+    if not len(path):
+        return False
+    step = max(1, len(path) // 2000)
+    away = places[:, np.newaxis] - path[np.newaxis, ::step]
+    return bool((np.hypot(away[..., 0], away[..., 1]) <= near_m).any())

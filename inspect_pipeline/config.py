@@ -11,8 +11,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
-from inspect_pipeline.flight import ModelRecord, RunRecord
-from inspect_pipeline.resources import MIGRATIONS
+from inspect_pipeline.flight import RESULT_VERSION, ModelRecord, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -77,7 +76,7 @@ def start_described_run(
         "placing": asdict(options.placing),
         "write": options.write,
         "schema": options.schema,
-        "schema_version": len(MIGRATIONS),
+        "result_version": RESULT_VERSION,
     }
     return RunRecord(
         run_id=str(uuid.uuid4()),

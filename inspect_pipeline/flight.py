@@ -11,6 +11,8 @@ from inspect_pipeline.types import CameraChannel
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+# Of what a flight's folder holds. Another one means that recordings are processed again, and that older
+# programs refuse the store; what is derived from flights, and migrations of the index alone, leave it.
 RESULT_VERSION = 2
 ANNOTATED, SIDECAR = "annotated.mcap", "annotations.mcap"  # in a flight's folder
 _BEFORE_2: dict[str, Any] = {"warnings": (), "annotations": ANNOTATED}

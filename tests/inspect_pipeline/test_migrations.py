@@ -13,8 +13,10 @@ from flights import versions, versions_in_index
 from stores import contents
 
 from inspect_pipeline import index
+from inspect_pipeline.flight import RESULT_VERSION
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store import Store
+from inspect_pipeline.tables import ROW_TABLES, create_tables
 
 # A store of two flights, written when there was one migration.
 OLD_STORE = Path(__file__).parents[1] / "data" / "store_0001.tar.xz"
@@ -23,6 +25,7 @@ FROZEN = {
     "0002_runs.sql": "6b5ec3101f5b27767ca9d049d6eb1ca551845a82fedbfa81c11c5606f20ea346",
     "0003_inspection.sql": "7dedd9545054d0d4b0da66bf0def4ddeeaa981403c44e7eb34f89a0e26788395",
 }
+RESULT_COLUMNS = (2, "6541b97fa533c9ffcca1c4a92d6c8d0813e2c0fb9d0ec1155012cd010f98ddb1")
 
 
 @pytest.fixture
@@ -54,6 +57,19 @@ def test_released_migrations_never_change() -> None:
     assert list(FROZEN) == list(MIGRATIONS[: len(FROZEN)])
     for name, digest in FROZEN.items():
         assert hashlib.sha256(read_schema(name).encode()).hexdigest() == digest, name
+
+
+def test_other_columns_of_a_flight_are_another_result_version() -> None:
+    """A new column is NULL in flights of before; only with another version is the inbox processed again."""
+    with duckdb.connect(":memory:") as connection:
+        create_tables(connection)
+        columns_of_rows = connection.execute(
+            "SELECT table_name, column_name, data_type FROM duckdb_columns()"
+            " WHERE table_name IN (SELECT unnest(?)) ORDER BY ALL",
+            [ROW_TABLES],
+        ).fetchall()
+    digest = hashlib.sha256(str(columns_of_rows).encode()).hexdigest()
+    assert (RESULT_VERSION, digest) == RESULT_COLUMNS
 
 
 def test_an_old_store_is_brought_up_without_loss(old_store: Store) -> None:

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from lsnet.ablation import OnlyGrids
 from lsnet.compare_data import Crops, draw_set
 from lsnet.detector import Detector
 from lsnet.errors import LSNetError
 from lsnet.evaluate import PixelReport, evaluate
-from lsnet.losses import MultiTaskLoss, of_main_grid, ordered_error
+from lsnet.losses import MultiTaskLoss, ordered_error
 from lsnet.model import PRESETS, LSNet, LSNetConfig
 from lsnet.runtime import OpenVinoBackend, TorchBackend
 from lsnet.speed import least_cpu_ms
@@ -29,10 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from lsnet.runtime import Backend, Maps
+    from lsnet.runtime import Backend
 
 FAST = PRESETS["fast"]
 RESULTS_FILE = "results.jsonl"
@@ -212,7 +210,7 @@ def _trainer(comparison: Comparison, candidate: Candidate) -> Trainer:
 def score(net: LSNet, sets: Sequence[Path], *, main_grid_only: bool = False) -> dict[str, float]:
     """ODS at 1 px of the raw segments of a network, by the name of the set."""
     card = WeightsCard("compared", "compared", net.config, min_score=0.5)
-    backend = MainGridBackend(net) if main_grid_only else TorchBackend(net)
+    backend = OnlyGrids(TorchBackend(net), "M" if main_grid_only else "MHVC")
     detector = Detector(Weights(net, card, ""), backend, scale=None, min_score=0.05)
     found = {}
     for folder in sets:
@@ -221,14 +219,3 @@ def score(net: LSNet, sets: Sequence[Path], *, main_grid_only: bool = False) -> 
             raise LSNetError(f"{folder}: has no pixel truth; give folders with masks or boundaries")
         found[folder.name] = report.ods.f1
     return found
-
-
-class MainGridBackend(TorchBackend):
-    """Says nothing in the cells of the three shifted grids."""
-
-    def run(self, images: Sequence[NDArray[np.uint8]]) -> list[Maps]:
-        """Raw maps of each image, in order."""
-        return [
-            (of_main_grid(torch.from_numpy(scores), 0.0).numpy(), ends)
-            for scores, ends in super().run(images)
-        ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from lsnet.ablation import OnlyGrids
 from lsnet.detector import Detector
 from lsnet.errors import LSNetError
 from lsnet.evaluate import evaluate
@@ -14,6 +15,7 @@ from lsnet.paper_scores import evaluate_as_paper
 from lsnet.recipe import VALIDATION_SEED
 from lsnet.rivals.lsd import LSD
 from lsnet.rivals.mlsd import MLSD
+from lsnet.runtime import open_backend
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
 from lsnet.truth import images_of
@@ -52,10 +54,11 @@ class EvalTask:
         return sum(len(images_of(folder)[1]) for folder in self.folders) * (1 + self.paper) + self.synthetic
 
 
-def open_finder(weights: str, runtime: str, rival: str | None) -> tuple[Finder, float]:
+def open_finder(weights: str, runtime: str, rival: str | None, grids: str = "MHVC") -> tuple[Finder, float]:
     """What is to be scored, telling all from score 0.05 up, and its own threshold.
 
-    rival: lsd, or the path of M-LSD's .tflite. Raises LSNetError for another one.
+    rival: lsd, or the path of M-LSD's .tflite. grids: those of the weights that are used. Raises LSNetError
+    for others.
     """
     if rival == "lsd":
         return LSD(), LSD.min_score
@@ -63,8 +66,9 @@ def open_finder(weights: str, runtime: str, rival: str | None) -> tuple[Finder, 
         return MLSD(Path(rival)), MLSD.min_score
     if rival:
         raise LSNetError(f"no rival {rival!r}; give lsd, or the path of M-LSD's .tflite file")
-    own = load_weights(weights).card.min_score
-    return Detector.load(weights, runtime=runtime, min_score=0.05), own
+    loaded = load_weights(weights)
+    backend = OnlyGrids(open_backend(loaded.net, runtime), grids)
+    return Detector(loaded, backend, loaded.card.scale, min_score=0.05), loaded.card.min_score
 
 
 def evaluate_all(

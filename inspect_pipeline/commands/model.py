@@ -156,6 +156,9 @@ def evaluate(
     rival: Annotated[
         str | None, typer.Option(metavar="NAME", help="Instead of weights: lsd, or M-LSD's .tflite file.")
     ] = None,
+    grids: Annotated[
+        str, typer.Option(metavar="LETTERS", help="Grids used: main, horizontal, vertical, central.")
+    ] = "MHVC",
     as_json: JsonOption = False,
 ) -> None:
     """Score weights on folders of images, looked at as `detect` does.
@@ -170,7 +173,7 @@ def evaluate(
     from lsnet.evaluate_all import EvalTask, evaluate_all, open_finder
 
     task = EvalTask(tuple(folders or ()), use.value, paper, synthetic, tuple(background or ()))
-    finder, own = open_finder(weights, runtime, rival)
+    finder, own = open_finder(weights, runtime, rival, grids)
     with progress_bar("eval", task.count_images()) as advance:
         reports = evaluate_all(finder, task, own if min_score is None else min_score, on_image=advance)
     for report in reports:

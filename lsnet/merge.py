@@ -19,6 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from lsnet.bridge import bridged
 from lsnet.geometry import angle_between, length, orientation
 from lsnet.segments import Lines, Segments
 
@@ -42,6 +43,7 @@ class MergeConfig:
     max_angle_deg: float = 12.0  # between linked segments
     max_offset_px: float = 2.0  # of each one's middle from the other's line
     max_gap_px: float = 20.0  # along the line, between linked segments
+    max_bridge_px: float = 60.0  # along the line, between chains that go on in each other's direction
     max_spread_px: float = 1.5  # of a chain's segments about its polyline; a wider chain is taken apart
     min_length_px: float = 40.0  # a shorter chain is no line
     sure_length: float = 0.25  # of the image's shorter side, at which a line has earned 63 % for its length
@@ -81,7 +83,8 @@ def _lines_of(
     Cables a few pixels apart can end up in one chain; its segments then lie to both sides of its
     polyline, and they are linked again with less tolerance.
     """
-    found: list[Found] = []
+    parts: list[Int] = []
+    polylines: list[Float] = []
     ends, pairs, offsets = endpoints.astype(float), np.zeros((0, 2), np.intp), np.zeros(0)
     if len(ends):
         pairs, offsets = link(ends, config)
@@ -92,16 +95,27 @@ def _lines_of(
             break
         fit = _fit(ends[chains.members], scores[chains.members].astype(float), chains, config)
         is_wide = (fit.spread_px > config.max_spread_px) & (tolerance_px > MIN_OFFSET_PX)
-        line_scores = fit.scores(image_size, config)
         for k in np.flatnonzero(~is_wide & (fit.extent_px >= config.min_length_px)):
-            polyline = fit.points[fit.first[k] : fit.first[k + 1]].astype(np.float32)
-            simple = cv2.approxPolyDP(polyline[:, None], config.flatness_px, closed=False)[:, 0]
-            found.append((np.asarray(simple, np.float32), float(line_scores[k]), chains.members_of(int(k))))
+            parts.append(chains.members_of(int(k)))
+            polylines.append(fit.polyline(int(k)))
         left = chains.members[is_wide[chains.number]]
         is_left = np.isin(pairs, left).all(axis=1)
         pairs, offsets = pairs[is_left], offsets[is_left]
         tolerance_px *= TIGHTER
-    return found
+    if not parts:
+        return []
+    chains = _Chains.joined(parts, bridged(polylines, config.max_bridge_px))
+    fit = _fit(ends[chains.members], scores[chains.members].astype(float), chains, config)
+    line_scores = fit.scores(image_size, config)
+    return [
+        (_simplified(fit.polyline(k), config), float(line_scores[k]), chains.members_of(k))
+        for k in range(len(line_scores))
+    ]
+
+
+def _simplified(polyline: Float, config: MergeConfig) -> NDArray[np.float32]:
+    points = polyline.astype(np.float32)[:, None]
+    return np.asarray(cv2.approxPolyDP(points, config.flatness_px, closed=False)[:, 0], np.float32)
 
 
 def link(ends: Float, config: MergeConfig) -> tuple[Int, Float]:
@@ -152,6 +166,14 @@ class _Chains:
             members, np.repeat(np.arange(len(counts)), counts), np.concatenate([[0], np.cumsum(counts)])
         )
 
+    @classmethod
+    def joined(cls, parts: list[Int], labels: Int) -> _Chains:
+        """Chains of the segments of all parts that have the same label."""
+        number = np.repeat(labels, [len(part) for part in parts])
+        order = np.argsort(number, kind="stable")
+        counts = np.bincount(number)
+        return cls(np.concatenate(parts)[order], number[order], np.concatenate([[0], np.cumsum(counts)]))
+
     def members_of(self, k: int) -> Int:
         """The segments of chain k."""
         return self.members[self.first[k] : self.first[k + 1]]
@@ -174,6 +196,10 @@ class _Fit:
     spread_px: Float
     mean_score: Float
     support: Float
+
+    def polyline(self, k: int) -> Float:
+        """(K, 2) points of chain k."""
+        return self.points[self.first[k] : self.first[k + 1]]
 
     def scores(self, image_size: tuple[int, int], config: MergeConfig) -> Float:
         """(C,) score of each line."""

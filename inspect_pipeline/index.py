@@ -19,40 +19,20 @@ import duckdb
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.files import fsync_path, store_errors
 from inspect_pipeline.index_inspection import input_digests, insert_records, inspect_flights, refresh
+from inspect_pipeline.index_rows import CONFIG, REBUILD, compare_rows, find_unreadable, replace_rows
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.runs import load_runs, run_rows
-from inspect_pipeline.tables import ROW_TABLES, count_migrations, create_tables
+from inspect_pipeline.tables import count_migrations, create_tables
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from inspect_pipeline.index_inspection import Inspected
     from inspect_pipeline.rules import Rules
     from inspect_pipeline.store import Store, StoredFlight
 
-_FLIGHTS_PER_INSERT = 256
 _HEADER_BYTES = 3 * 4096  # in front of the blocks
-
-# Files of this storage version are read by DuckDB 1.5 and 2 alike.
-_CONFIG: dict[str, str | bool | int | float | list[str]] = {
-    "storage_compatibility_version": "v1.5.0",
-    "memory_limit": "128MB",
-    "threads": "2",
-    "python_enable_replacements": "false",
-}
-# Folders of a store may be called line=L12, which says nothing about columns.
-_PARQUET = "read_parquet(?, union_by_name := true, hive_partitioning := false)"
-_SET_CHANNEL_TIMES = f"""
-UPDATE channels SET first_ns = f.first_ns, last_ns = f.last_ns
-FROM (
-    SELECT flight_id, channel_id, min(log_time_ns) AS first_ns, max(log_time_ns) AS last_ns
-    FROM {_PARQUET}
-    GROUP BY ALL
-) AS f
-WHERE channels.flight_id = f.flight_id AND channels.channel_id = f.channel_id
-"""
-_REBUILD = "run lsnet-pipe index rebuild"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,12 +95,12 @@ def _reading(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
     if not path.exists():
         raise StoreError(store.root, "there is no index", "run lsnet-pipe process first")
     try:
-        with duckdb.connect(path, read_only=True, config=_CONFIG) as connection:
+        with duckdb.connect(path, read_only=True, config=CONFIG) as connection:
             if count_migrations(connection) != len(MIGRATIONS):
-                raise StoreVersionError(path, "the index is of another version", _REBUILD)
+                raise StoreVersionError(path, "the index is of another version", REBUILD)
             yield connection
     except duckdb.Error as error:
-        raise StoreError(path, f"cannot be read ({str(error).splitlines()[0]})", _REBUILD) from error
+        raise StoreError(path, f"cannot be read ({str(error).splitlines()[0]})", REBUILD) from error
 
 
 def verify(store: Store) -> tuple[str, ...]:
@@ -133,21 +113,21 @@ def verify(store: Store) -> tuple[str, ...]:
         problems = [f"{folder}: damaged; process its recording again" for folder in damaged]
         known = _published(store.index_path)
         if known is None:
-            return (*problems, f"{store.index_path}: missing or corrupt; {_REBUILD}")
+            return (*problems, f"{store.index_path}: missing or corrupt; {REBUILD}")
         wanted = {flight.record.flight_id: flight for flight in flights}
-        problems += [f"{flight_id}: in the index only; {_REBUILD}" for flight_id in known.keys() - wanted]
-        problems += [f"{flight_id}: not in the index; {_REBUILD}" for flight_id in wanted.keys() - known]
+        problems += [f"{flight_id}: in the index only; {REBUILD}" for flight_id in known.keys() - wanted]
+        problems += [f"{flight_id}: not in the index; {REBUILD}" for flight_id in wanted.keys() - known]
         same = {i: f for i, f in wanted.items() if known.get(i) == f.result_sha256}
-        problems += [f"{i}: older in the index; {_REBUILD}" for i in (wanted.keys() & known) - same.keys()]
-        problems += _compare_rows(store.index_path, list(same.values()))
+        problems += [f"{i}: older in the index; {REBUILD}" for i in (wanted.keys() & known) - same.keys()]
+        problems += compare_rows(store.index_path, list(same.values()))
         if not problems and not _is_current(store, flights):
-            problems.append(f"{store.index_path}: other runs, spans or rules, or another version; {_REBUILD}")
+            problems.append(f"{store.index_path}: other runs, spans or rules, or another version; {REBUILD}")
         return tuple(problems)
 
 
 def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
     """Whether a readable index is of this version of the program, with all runs and what people told."""
-    with duckdb.connect(store.index_path, read_only=True, config=_CONFIG) as connection:
+    with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
         if connection.execute(latest).fetchone() != (len(MIGRATIONS), version("lsnet-pipe")):
             return False
@@ -177,7 +157,7 @@ def _published(path: Path) -> dict[str, str] | None:
     if not path.exists():
         return None
     try:
-        with duckdb.connect(path, read_only=True, config=_CONFIG) as connection:
+        with duckdb.connect(path, read_only=True, config=CONFIG) as connection:
             found = count_migrations(connection)
             if found > len(MIGRATIONS):
                 problem = f"index version {found}, this program knows {len(MIGRATIONS)}"
@@ -199,15 +179,13 @@ def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Path]) -> 
     try:
         return _replace_index(store, flights, damaged, None)
     except duckdb.Error:
-        unreadable = _unreadable(flights)
+        unreadable = find_unreadable(flights)
     readable = [flight for flight in flights if flight.folder not in unreadable]
     try:
         return _replace_index(store, readable, [*damaged, *unreadable], None)
     except duckdb.Error as error:
         problem = f"cannot be made ({str(error).splitlines()[0]})"
-        raise StoreError(
-            store.index_path, problem, "check the space on the disk, then " + _REBUILD
-        ) from error
+        raise StoreError(store.index_path, problem, "check the space on the disk, then " + REBUILD) from error
 
 
 def _replace_index(
@@ -224,9 +202,9 @@ def _replace_index(
         _remove_database(following)
         if known is not None:
             shutil.copyfile(path, following)
-        with duckdb.connect(following, config=_CONFIG) as connection:
+        with duckdb.connect(following, config=CONFIG) as connection:
             create_tables(connection)
-            _replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
+            replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
             connection.execute("DELETE FROM runs")
             insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
             refresh(connection, store, [flight.record.flight_id for flight in changed])
@@ -246,100 +224,3 @@ def _remove_database(path: Path) -> None:
     """Remove a database with its log and its spilled blocks, left by a killed publish."""
     for leftover in path.parent.glob(f"{path.name}*"):
         shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
-
-
-def _replace_rows(
-    connection: duckdb.DuckDBPyConnection, removed: list[str], flights: list[StoredFlight]
-) -> None:
-    """Remove the rows of some flights and insert those of others, in one transaction."""
-    connection.begin()
-    for table in ("flights", "channels", *ROW_TABLES):
-        connection.execute(f"DELETE FROM {table} WHERE flight_id IN (SELECT unnest(?))", [removed])
-    for start in range(0, len(flights), _FLIGHTS_PER_INSERT):
-        _insert_flights(connection, flights[start : start + _FLIGHTS_PER_INSERT])
-    connection.execute("DELETE FROM models WHERE model_id NOT IN (SELECT model_id FROM flights)")
-    connection.commit()
-
-
-def _insert_flights(connection: duckdb.DuckDBPyConnection, flights: Sequence[StoredFlight]) -> None:
-    for table in ROW_TABLES:
-        if files := _row_files(flights, table):
-            connection.execute(f"INSERT INTO {table} BY NAME SELECT * FROM {_PARQUET}", [files])
-    records = {flight.result_sha256: flight.record.to_json() for flight in flights}
-    models = {record["model"]["model_id"]: record["model"] for record in records.values()}
-    channels = [
-        {"flight_id": record["flight_id"], **channel}
-        for record in records.values()
-        for channel in record["channels"]
-    ]
-    insert_records(connection, "INSERT OR REPLACE INTO models", "models", list(models.values()))
-    insert_records(connection, "INSERT INTO flights", "flights", [_flight_row(*r) for r in records.items()])
-    insert_records(connection, "INSERT INTO channels", "channels", channels)
-    connection.execute(_SET_CHANNEL_TIMES, [_row_files(flights, "frames")])
-
-
-def _flight_row(result_sha256: str, record: dict[str, Any]) -> dict[str, Any]:
-    own = ("flight_id", "source_uri", "source_bytes", "status", "reason", "ingested_at")
-    return {
-        **{name: record[name] for name in own},
-        **record["totals"],
-        "run_id": record["run"]["run_id"],
-        "model_id": record["model"]["model_id"],
-        "config_sha256": record["run"]["config_sha256"],
-        "result_sha256": result_sha256,
-    }
-
-
-def _row_files(flights: Iterable[StoredFlight], table: str) -> list[str]:
-    """The files of a table; flights of before it was kept have none."""
-    name = f"{table}.parquet"
-    return [str(flight.folder / name) for flight in flights if name in flight.record.files]
-
-
-def _compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
-    """The flights whose rows in the index are not those of their parquet files."""
-    problems = []
-    try:
-        with duckdb.connect(index_path, read_only=True, config=_CONFIG) as connection:
-            for table in ROW_TABLES if flights else ():
-                if not (files := _row_files(flights, table)):
-                    continue
-                # What files of before a column was kept lack is NULL in the index.
-                rows = f"((FROM {table} LIMIT 0) UNION ALL BY NAME FROM {_PARQUET})"
-                expected = _digests(connection, table, rows, [files])
-                found = _digests(connection, table, table, [])
-                differing = [i for i, digest in expected.items() if found.get(i) != digest]
-                problems += [f"{i}: other {table} in the index; {_REBUILD}" for i in differing]
-    except duckdb.Error as error:
-        unreadable = _unreadable(flights)
-        problems += [f"{folder}: unreadable; process its recording again" for folder in unreadable]
-        if not unreadable:
-            problems.append(f"{index_path}: {str(error).splitlines()[0]}; {_REBUILD}")
-    return problems
-
-
-def _digests(
-    connection: duckdb.DuckDBPyConnection, table: str, source: str, values: list[list[str]]
-) -> dict[str, tuple[int, int]]:
-    """The number of rows and a hash of all their values, per flight of `source`, which is like `table`."""
-    described = connection.execute(f"DESCRIBE {table}").fetchall()
-    columns = ", ".join(name for name, *_ in described if not name.endswith("_utc"))
-    rows = connection.execute(
-        f"SELECT flight_id, count(*), bit_xor(hash({columns})) FROM {source} GROUP BY flight_id",
-        values,
-    ).fetchall()
-    return {flight_id: (count, digest) for flight_id, count, digest in rows}
-
-
-def _unreadable(flights: list[StoredFlight]) -> list[Path]:
-    """The folders of the flights with a value in their parquet files that cannot be read."""
-    folders = []
-    with duckdb.connect(":memory:", config=_CONFIG) as connection:
-        for flight in flights:
-            try:
-                for table in ROW_TABLES:
-                    files = _row_files([flight], table)
-                    connection.execute(f"SELECT bit_xor(hash(row)) FROM {_PARQUET} AS row", [files])
-            except duckdb.Error:
-                folders.append(flight.folder)
-    return folders

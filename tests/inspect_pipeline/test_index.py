@@ -276,7 +276,7 @@ def test_a_full_disk_leaves_the_old_index(store: Store, monkeypatch: pytest.Monk
     def fail(*_: object) -> None:
         raise duckdb.IOException("Could not write file: No space left on device")
 
-    monkeypatch.setattr(index, "_replace_rows", fail)
+    monkeypatch.setattr(index, "replace_rows", fail)
     with pytest.raises(StoreError, match="No space left"):
         index.publish(store)
     assert store.index_path.read_bytes() == before

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
+from urllib.parse import unquote_to_bytes, urlsplit
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.flight import ANNOTATED
@@ -108,7 +108,7 @@ def open_images(flight: FlightRecord, folder: Path) -> Source:
     """
     if flight.annotations == ANNOTATED:
         return open_source(folder / ANNOTATED)
-    source = open_source(Path(url2pathname(urlsplit(flight.source_uri).path)))
+    source = open_source(Path(os.fsdecode(unquote_to_bytes(urlsplit(flight.source_uri).path))))
     if source.size_bytes != flight.source_bytes:
         raise RecordingError(source.path, "it is no longer what the flight was made from", "process it again")
     return source

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 from typing import TYPE_CHECKING, Any
 
@@ -160,3 +161,11 @@ def test_a_part_that_carries_annotations_is_refused(flight: Path, store: Store) 
     shutil.copy(run(flight / "x_9.mcap", store).annotated, flight / "x_9.mcap")
     with pytest.raises(RecordingError, match=r"x_9\.mcap: it carries annotations already"):
         run(flight, store)
+
+
+def test_a_picture_of_a_recording_whose_name_is_not_utf8(tmp_path: Path, store: Store) -> None:
+    path = make_recording(tmp_path / os.fsdecode(b"caf\xe9 %20.mcap"), shots(1))
+    options = ProcessOptions(write="none")
+    result = process(path, store, FakeDetector(), options, start_run(FakeDetector(), options))
+    index.publish(store)
+    assert draw_overlay(store, result.flight_id).frame_idx == 0

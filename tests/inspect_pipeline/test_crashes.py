@@ -62,11 +62,14 @@ def test_no_space_at_any_fsync(store: Store, monkeypatch: pytest.MonkeyPatch, ha
     assert loaded.totals.n_frames == 2
 
 
+@pytest.mark.reliability
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("has_exchange", [True, False])
 def test_killed_at_some_steps(store: Store, tmp_path: Path, has_exchange: bool) -> None:
     _kill_at_steps(store, tmp_path, 29, has_exchange=has_exchange)
 
 
+@pytest.mark.reliability
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("has_exchange", [True, False])

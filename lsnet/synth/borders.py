@@ -1,4 +1,4 @@
-"""Where one ground ends and another begins: kerbs, gutters, road sides, plants that hang over."""
+"""Where one ground ends and another begins: kerbs, gutters, road sides, edgings, plants that hang over."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from lsnet.synth.brush import SCALE, SHIFT, anywhere, direction, put, smooth_noise, stroke
+from lsnet.synth.brush import LEAST_DETAILED_PX, SCALE, SHIFT, anywhere, direction, put, smooth_noise, stroke
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -132,3 +132,31 @@ def _bands(rng: Rng) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     tones = base * np.exp(rng.normal(0, contrast, count + 1))
     tones[0] = base
     return widths, np.clip(tones, 3, 250).astype(np.float32)
+
+
+def edging(image: Image, rng: Rng) -> None:
+    """Plastic edging, silt fence, boards, an open joint: long and thin, ragged, half hidden by the ground.
+
+    The same ground lies on both sides; it may bend where it is staked. None in small pictures, in which
+    nobody can tell it from a wire.
+    """
+    height, width = image.shape[:2]
+    if min(height, width) < LEAST_DETAILED_PX:
+        return
+    angle, through = rng.uniform(0, 2 * np.pi), anywhere(image, rng, -0.1)
+    across = direction(angle + np.pi / 2)
+    x, y = np.arange(width, dtype=np.float32) + 0.5, (np.arange(height, dtype=np.float32) + 0.5)[:, None]
+    v = ((x - through[0]) * across[0] + (y - through[1]) * across[1]).astype(np.float32)
+    u = ((x - through[0]) * across[1] - (y - through[1]) * across[0]).astype(np.float32)
+    bend = np.float32(rng.uniform(-0.25, 0.25) if rng.random() < 0.4 else 0.0)
+    v += bend * np.maximum(u - np.float32(rng.uniform(-0.4, 0.4) * width), 0)
+    v += smooth_noise(rng, (height, width), rng.uniform(20, 80)) * np.float32(rng.uniform(0, 1.2))
+    ragged = smooth_noise(rng, (height, width), rng.uniform(1.5, 5)) * np.float32(rng.uniform(0.6, 2.0))
+    half = np.float32(rng.uniform(0.8, 4.5))
+    alpha = np.clip(half + 0.5 + ragged - np.abs(v), 0, 1) * np.float32(rng.uniform(0.5, 1))
+    hidden = rng.uniform(0.5, 3) + smooth_noise(rng, (height, width), rng.uniform(6, 40))
+    alpha *= np.clip(hidden, 0, 1)
+    tone = image.mean() * (rng.uniform(0.05, 0.6) if rng.random() < 0.7 else rng.uniform(1.2, 2.5))
+    rgb = np.clip(tone * (1 + rng.normal(0, 0.06, 3)), 2, 245).astype(np.float32)
+    grained = rgb + smooth_noise(rng, (height, width), 1.2)[..., None] * np.float32(rng.uniform(0, 12))
+    put(image, image + alpha[..., None] * (grained - image))

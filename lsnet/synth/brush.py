@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 SHIFT = 4  # fractional bits of the coordinates given to OpenCV
 SCALE = 1 << SHIFT
+LEAST_DETAILED_PX = 256  # in smaller pictures shadows and ragged edges cannot be told from thin wires
 
 
 def stroke(image: Image, points: NDArray[np.floating], rgb: NDArray[np.floating], width_px: float) -> None:

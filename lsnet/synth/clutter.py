@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lsnet.synth.borders import half_plane, roadside
+from lsnet.synth.borders import edging, half_plane, roadside
 from lsnet.synth.plants import branches, cracks, foliage, shrub, trunk
 from lsnet.synth.structures import building, fence, furrows, markings, shadows, struts, tile_grid
 
@@ -27,6 +27,7 @@ KINDS: dict[Callable[[Image, Rng], None], float] = {
     markings: 0.14,
     tile_grid: 0.18,
     cracks: 0.10,
+    edging: 0.16,
     shadows: 0.22,
     building: 0.12,
     foliage: 0.22,

@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from lsnet.synth.brush import SCALE, SHIFT, anywhere, direction, perspective, put, stroke
+from lsnet.synth.brush import LEAST_DETAILED_PX, SCALE, SHIFT, anywhere, direction, perspective, put, stroke
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Image = NDArray[np.uint8]
     Rng = np.random.Generator
-
-LEAST_SHADOWED_PX = 256
 
 
 def building(image: Image, rng: Rng) -> None:
@@ -125,7 +123,7 @@ def shadows(image: Image, rng: Rng) -> None:
     None in small pictures, in which nobody can tell a thin shadow from a thin dark wire.
     """
     height, width = image.shape[:2]
-    if min(height, width) < LEAST_SHADOWED_PX:
+    if min(height, width) < LEAST_DETAILED_PX:
         return
     reach = float(np.hypot(height, width))
     middle, angle, bend = anywhere(image, rng, 0), rng.uniform(0, np.pi), rng.normal(0, 0.02) / reach

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.worker import Job
     from lsnet import Detections
 
+LIGHT = Path(__file__).with_name("light")  # in front of sys.path, for processes that need no network
 KILL, KILL_ONCE, HANG, RAISE, SEGFAULT = 60, 61, 62, 63, 59  # numbers of pictures, see factories.picture
 
 

@@ -14,7 +14,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 import duckdb
 import pytest
 from factories import Shot, make_recording, shots
-from stubs import HANG, KILL_ONCE, RAISE, InlineExecutor, MakeStub
+from stubs import HANG, KILL_ONCE, LIGHT, RAISE, InlineExecutor, MakeStub
 
 from inspect_pipeline import batch, index
 from inspect_pipeline.batch import BatchOptions, plan_batch, run_batch
@@ -68,8 +68,9 @@ class Night:
 
 
 @pytest.fixture
-def real_night(tmp_path: Path) -> Iterator[Night]:
-    """With worker processes."""
+def real_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
+    """With worker processes, which take over sys.path."""
+    monkeypatch.syspath_prepend(LIGHT)
     night = Night(tmp_path)
     yield night
     staging = night.store.root / "staging"

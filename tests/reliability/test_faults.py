@@ -77,7 +77,7 @@ def test_killed_at_every_named_step(tmp_path: Path, command: str, step: int) -> 
 
 def _run(script: str, *arguments: object, **environment: object) -> dict[str, Any]:
     """What a script tells."""
-    folders = os.pathsep.join(map(str, (HERE / "light", HERE.parents[1], HERE.parent)))
+    folders = os.pathsep.join(map(str, (HERE.parent / "light", HERE.parents[1], HERE.parent)))
     done = subprocess.run(
         [sys.executable, HERE / script, *map(str, arguments)],
         env={

@@ -17,6 +17,7 @@ import pytest
 from factories import make_recording, shots
 from flights import versions, versions_in_index
 from stores import check_visible, contents, file_names
+from stubs import LIGHT
 
 from inspect_pipeline.store import Store
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.reliability, pytest.mark.timeout(1800)]
 N_RECORDINGS = 12
 LAST = "last"  # weights that no killed batch has
-LIGHT = Path(__file__).with_name("light")
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def undisturbed(inbox: Path, tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 def start(inbox: Path, store: Store, weights: str, delay_s: float = 0.0) -> subprocess.Popen[bytes]:
     """A batch; the notes of its stub lie beside the store."""
-    folders = [LIGHT, *LIGHT.parents[1:3]]
+    folders = [LIGHT, *LIGHT.parents[:2]]
     return subprocess.Popen(
         [sys.executable, driver.__file__, *_arguments(inbox, store, weights, delay_s)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))},

@@ -2,4 +2,4 @@
 
 from pathlib import Path
 
-__path__ = [str(Path(__file__).parents[4] / "lsnet")]
+__path__ = [str(Path(__file__).parents[3] / "lsnet")]

@@ -15,6 +15,7 @@ from inspect_pipeline.flight import RESULT_VERSION, ModelRecord, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from inspect_pipeline.types import SchemaName, WriteMode
     from lsnet import Detector
@@ -25,12 +26,14 @@ class PlacingOptions:
     """What a recording does not say of where its frames were taken; None leaves to it what it says.
 
     ground_alt_m: altitude of the ground as its positions count it. view_deg: from left to right of an image,
-    for cameras without calibration. wire_m: diameter of the conductors whose width is expected.
+    for cameras without calibration. wire_m: diameter of the conductors whose width is expected. terrain: a
+    model of how the ground rises and falls, else it is flat.
     """
 
     ground_alt_m: float | None = None
     view_deg: float | None = None
     wire_m: float = 0.022
+    terrain: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +76,7 @@ def start_described_run(
         "every": options.every,
         "start_ns": options.start_ns,
         "end_ns": options.end_ns,
-        "placing": asdict(options.placing),
+        "placing": _describe_placing(options.placing),
         "write": options.write,
         "schema": options.schema,
         "result_version": RESULT_VERSION,
@@ -88,6 +91,17 @@ def start_described_run(
         command=command,
         tags=dict(tags),
     )
+
+
+def _describe_placing(placing: PlacingOptions) -> dict[str, Any]:
+    """A terrain model is what is in it, wherever it lies; raises TerrainError."""
+    told = asdict(placing)
+    path = told.pop("terrain")
+    if path is None:
+        return told
+    from inspect_pipeline.elevation import digest  # noqa: PLC0415 - loads much, and few need it
+
+    return told | {"terrain_sha256": digest(path)}
 
 
 def model_record(detector: Detector) -> ModelRecord:

@@ -106,5 +106,13 @@ class SpansError(InspectError):
         self.path, self.problem, self.remedy = path, problem, remedy
 
 
+class TerrainError(InspectError):
+    """Raised when a terrain model cannot be used: `path: problem; remedy`."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(f"{path}: {problem}; {remedy}")
+        self.path, self.problem, self.remedy = path, problem, remedy
+
+
 class DetectorError(InspectError):
     """Raised when weights, images or training data cannot be used."""

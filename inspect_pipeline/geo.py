@@ -17,6 +17,8 @@ from inspect_pipeline.attitude import YawPitchRoll
 from inspect_pipeline.calibrations import Intrinsics
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
 
     Floats = NDArray[np.float64]
@@ -25,6 +27,7 @@ _UNDISTORTED = frozenset(
     {"plumb_bob", "rational_polynomial"}
 )  # whose coefficients OpenCV knows in this order
 _UPRIGHT = 1e-6
+_FARTHEST_M, _MARCH_M = 1000.0, 2.0  # how far rays are followed over terrain, and by which steps
 _EARTH = pyproj.Geod(ellps="WGS84")
 
 
@@ -52,9 +55,16 @@ def camera_axes(turns: YawPitchRoll) -> Floats:
 
 def moved(lat_deg: float, lon_deg: float, east_m: float, north_m: float) -> tuple[float, float]:
     """The latitude and longitude so many metres away."""
+    lats_deg, lons_deg = moved_all(lat_deg, lon_deg, np.array([east_m]), np.array([north_m]))
+    return float(lats_deg[0]), float(lons_deg[0])
+
+
+def moved_all(lat_deg: float, lon_deg: float, east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:
+    """The latitudes (N,) and longitudes (N,) so many metres (N,) away from one place."""
     azimuth_deg, distance_m = np.degrees(np.arctan2(east_m, north_m)), np.hypot(east_m, north_m)
-    there_lon_deg, there_lat_deg, _ = _EARTH.fwd(lon_deg, lat_deg, azimuth_deg, distance_m)
-    return float(there_lat_deg), float(there_lon_deg)
+    here = np.full(len(east_m), lon_deg), np.full(len(east_m), lat_deg)
+    there_lon_deg, there_lat_deg, _ = _EARTH.fwd(*here, azimuth_deg, distance_m)
+    return np.asarray(there_lat_deg, np.float64), np.asarray(there_lon_deg, np.float64)
 
 
 def pixel_rays(lens: Intrinsics, turns: YawPitchRoll, pixels: ArrayLike) -> Floats:
@@ -80,6 +90,23 @@ def meet_ground(rays: Floats, height_m: float) -> Floats:
     distance_m = np.full(len(rays), np.nan)
     np.divide(height_m, down, out=distance_m, where=down > 1e-9)
     met: Floats = rays * distance_m[:, np.newaxis]
+    return met
+
+
+def meet_terrain(ray: Floats, height_m: float, rise_m: Callable[[Floats, Floats], Floats]) -> Floats:
+    """(3,) metres east, north and up from the camera to where a ray meets ground that rises and falls.
+
+    rise_m: metres that the ground at places (N,) east and (N,) north of the camera lies above the ground
+    below the camera, which is `height_m` lower. NaN where it is not known, or not met within a kilometre.
+    """
+    steps_m = np.arange(0.0, _FARTHEST_M + _MARCH_M, _MARCH_M)
+    east, north, up = ray[:, np.newaxis] * steps_m
+    above_m = up + height_m - rise_m(east, north)
+    first = int(np.argmax(~(above_m > 0)))  # NaN stops it too
+    if first == 0 or not np.isfinite(above_m[first]):
+        return np.full(3, np.nan)
+    share = above_m[first - 1] / (above_m[first - 1] - above_m[first])
+    met: Floats = ray * (steps_m[first - 1] + share * _MARCH_M)
     return met
 
 

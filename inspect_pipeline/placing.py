@@ -13,17 +13,32 @@ import numpy as np
 
 from inspect_pipeline.attitude import YawPitchRoll
 from inspect_pipeline.calibrations import read_intrinsics
-from inspect_pipeline.geo import lens_of_view, meet_ground, moved, pixel_rays, resized, turned_down
+from inspect_pipeline.elevation import load_elevation
+from inspect_pipeline.geo import (
+    lens_of_view,
+    meet_ground,
+    meet_terrain,
+    moved,
+    moved_all,
+    pixel_rays,
+    resized,
+    turned_down,
+)
 from inspect_pipeline.poses import read_poses
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from numpy.typing import ArrayLike, NDArray
+
     from inspect_pipeline.calibrations import Intrinsics
     from inspect_pipeline.config import PlacingOptions
+    from inspect_pipeline.elevation import Elevation
     from inspect_pipeline.poses import Pose, PoseTrack
     from inspect_pipeline.recording import Recording
     from inspect_pipeline.types import CameraChannel, Frame
+
+    Floats = NDArray[np.float64]
 
 _STRAIGHT_DOWN_DEG = -90.0
 
@@ -56,20 +71,28 @@ class FramePlace:
 
 @dataclass(frozen=True, slots=True)
 class FramePlacer:
-    """Places the frames of a recording by its poses and its cameras' lenses, by channel id."""
+    """Places the frames of a recording by its poses and its cameras' lenses, by channel id.
+
+    The ground is flat, or rises and falls with the terrain from where the recording begins.
+    """
 
     poses: PoseTrack
     lenses: Mapping[int, Intrinsics]
     options: PlacingOptions
+    terrain: Elevation | None = None
 
     @classmethod
     def of(
         cls, recording: Recording, cameras: Iterable[CameraChannel], options: PlacingOptions
     ) -> FramePlacer:
-        """Read poses and lenses. Raises RecordingError when chunks cannot be read of a `strict` recording."""
+        """Read poses, lenses and terrain.
+
+        Raises RecordingError when chunks cannot be read of a `strict` recording, TerrainError.
+        """
         lenses = {camera.channel_id: read_intrinsics(recording, camera) for camera in cameras}
         known = {channel_id: lens for channel_id, lens in lenses.items() if lens}
-        return cls(read_poses(recording), known, options)
+        terrain = load_elevation(options.terrain) if options.terrain else None
+        return cls(read_poses(recording), known, options, terrain)
 
     def place(self, frame: Frame) -> FramePlace:
         """The place of a frame by the last pose known at its log time."""
@@ -79,7 +102,7 @@ class FramePlacer:
             return FramePlace(focal_px=focal_px)
         turns, source = _camera_turns(pose)
         height_m = self._height_m(pose)
-        sight = _sight(pose, turns, height_m, lens)
+        sight = self._sight(pose, turns, height_m, lens)
         gsd_m = sight.distance_m / focal_px if sight and focal_px else None
         return FramePlace(
             lat_deg=pose.latitude_deg,
@@ -112,9 +135,48 @@ class FramePlacer:
 
     def _height_m(self, pose: Pose) -> float | None:
         """Above the ground: by its altitude where that was given, else as the recording says."""
+        height_m = pose.height_m
         if self.options.ground_alt_m is not None and pose.altitude_m is not None:
-            return pose.altitude_m - self.options.ground_alt_m
-        return pose.height_m
+            height_m = pose.altitude_m - self.options.ground_alt_m
+        if self.terrain is None or height_m is None:
+            return height_m
+        if pose.latitude_deg is None or pose.longitude_deg is None:
+            return None
+        begin = self.poses.positions.values[0]
+        rise_m = _rise_m(self.terrain, (begin[0], begin[1]), [pose.latitude_deg], [pose.longitude_deg])
+        return height_m - float(rise_m[0]) if np.isfinite(rise_m[0]) else None
+
+    def _meet_ground(self, here: tuple[float, float], height_m: float, ray: Floats) -> Floats:
+        """(3,) metres east, north and up from the camera to where a ray (3,) meets the ground; else NaN."""
+        terrain = self.terrain
+        if terrain is None:
+            met: Floats = meet_ground(ray[np.newaxis], height_m)[0]
+            return met
+        return meet_terrain(
+            ray, height_m, lambda east, north: _rise_m(terrain, here, *moved_all(*here, east, north))
+        )
+
+    def _sight(
+        self, pose: Pose, turns: YawPitchRoll, height_m: float | None, lens: Intrinsics | None
+    ) -> _Sight | None:
+        """None where the ground is not known, not below, or not in sight."""
+        if pose.latitude_deg is None or pose.longitude_deg is None or height_m is None or height_m <= 0:
+            return None
+        lens = lens or lens_of_view((2, 2), 90.0)  # any: the middle of the image is the optical axis
+        height, width = lens.image_size
+        here = pose.latitude_deg, pose.longitude_deg
+        met = self._meet_ground(here, height_m, pixel_rays(lens, turns, (width / 2, height / 2))[0])
+        if np.isnan(met).any():
+            return None
+        east_m, north_m, _ = met.tolist()
+        return _Sight(*moved(*here, east_m, north_m), float(np.linalg.norm(met)))
+
+
+def _rise_m(terrain: Elevation, begin: tuple[float, float], lat_deg: ArrayLike, lon_deg: ArrayLike) -> Floats:
+    """(N,) m that the ground at (N,) places lies above that at the first one."""
+    below_m = terrain.at(*(np.array([degrees]) for degrees in begin))
+    rise_m: Floats = terrain.at(np.asarray(lat_deg), np.asarray(lon_deg)) - below_m
+    return rise_m
 
 
 def _camera_turns(pose: Pose) -> tuple[YawPitchRoll, str]:
@@ -132,17 +194,3 @@ class _Sight:
     lat_deg: float
     lon_deg: float
     distance_m: float
-
-
-def _sight(pose: Pose, turns: YawPitchRoll, height_m: float | None, lens: Intrinsics | None) -> _Sight | None:
-    """None where the ground is not known, not below, or not in sight."""
-    if pose.latitude_deg is None or pose.longitude_deg is None or height_m is None or height_m <= 0:
-        return None
-    lens = lens or lens_of_view((2, 2), 90.0)  # any: the middle of the image is the optical axis
-    height, width = lens.image_size
-    met = meet_ground(pixel_rays(lens, turns, (width / 2, height / 2)), height_m)[0]
-    if np.isnan(met).any():
-        return None
-    east_m, north_m, _ = met.tolist()
-    lat_deg, lon_deg = moved(pose.latitude_deg, pose.longitude_deg, east_m, north_m)
-    return _Sight(lat_deg, lon_deg, float(np.linalg.norm(met)))

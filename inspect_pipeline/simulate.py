@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
@@ -17,7 +18,7 @@ from inspect_pipeline.attitude import YawPitchRoll, to_enu
 from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.authoring_ros2 import Ros2Author
 from inspect_pipeline.errors import OutputError
-from inspect_pipeline.simulate_ground import draw_ground
+from inspect_pipeline.simulate_ground import draw_ground, lay_photograph
 from inspect_pipeline.simulate_options import SchemaKind, SimulationOptions
 from inspect_pipeline.simulate_plan import POSE_PERIOD_NS, START_NS, plan_flight
 from inspect_pipeline.simulate_render import Landscape, render
@@ -25,7 +26,7 @@ from inspect_pipeline.simulate_scene import plant_trees
 from inspect_pipeline.simulate_truth import compass_deg, to_east_north, to_geodetic, truth_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from numpy.typing import NDArray
 
     from inspect_pipeline.authoring import RecordingAuthor
     from inspect_pipeline.simulate_plan import FlightPlan
@@ -61,7 +62,8 @@ _JPEG_QUALITY = 92
 def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     """Write a recording to `target` and the truth beside it, whose path is returned.
 
-    Raises OutputError when the target exists or cannot be written.
+    Raises OutputError when the target exists or cannot be written, LSNetError for a photograph that cannot
+    be read.
     """
     truth_path = target.with_suffix(".truth.json")
     plan = plan_flight(options)
@@ -102,7 +104,7 @@ def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
     sun = np.array([-0.45, -0.5, 0.74])
     sun /= np.linalg.norm(sun)
     return Landscape(
-        ground=draw_ground(rng),
+        ground=_make_ground(rng, plan.options.ground),
         trees=plant_trees(rng, min(flown_x) + _VIEW_M[0], max(flown_x) + _VIEW_M[1], sun),
         conductors=(*plan.line.foreign, *plan.line.conductors),
         poles=plan.line.structures_x.tolist(),
@@ -111,10 +113,20 @@ def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
     )
 
 
+def _make_ground(rng: np.random.Generator, photograph: Path | None) -> NDArray[np.uint8]:
+    if photograph is None:
+        return draw_ground(rng)
+    from lsnet.synth.backgrounds import load_rgb  # noqa: PLC0415 - loads much
+
+    return lay_photograph(load_rgb(photograph))
+
+
 def _to_json(truth: FlightTruth) -> dict[str, Any]:
     """The truth as JSON has it, pixels to a hundredth."""
 
     def plain(value: object) -> object:
+        if isinstance(value, Path):
+            return value.name
         return np.round(value, 2).tolist() if isinstance(value, np.ndarray) else value
 
     fields = asdict(truth, dict_factory=lambda items: {name: plain(value) for name, value in items})

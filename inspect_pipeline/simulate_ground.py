@@ -1,4 +1,4 @@
-"""The drawn ground: meadow, bare soil, a road across and a track along, as one picture that repeats."""
+"""The ground as one picture that repeats: meadow, soil, a road across and a track along; or a photograph."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 TEXEL_M = 0.04
 TILE_TEXELS = (1024, 4096)  # y, x
-TILE_M = (TILE_TEXELS[0] * TEXEL_M, TILE_TEXELS[1] * TEXEL_M)
+_TILE_Y_M, _TILE_X_M = (n * TEXEL_M for n in TILE_TEXELS)
 
 _DARK_GRASS, _LIGHT_GRASS, _STRAW = (54, 72, 38), (120, 138, 76), (172, 162, 110)  # RGB
 _SOIL, _ASPHALT, _GRAVEL, _PAINT = (134, 108, 80), (112, 112, 114), (150, 140, 122), (205, 205, 200)
@@ -33,6 +33,20 @@ def draw_ground(rng: np.random.Generator) -> NDArray[np.uint8]:
     ground = _add_road(ground, x, y, tufts, blades)
     ground *= (1 + 0.06 * _noise(rng, 15.0, 80.0) + 0.05 * _noise(rng, 0.05, 0.2))[..., np.newaxis]
     return np.clip(ground, 0, 255).astype(np.uint8)
+
+
+def lay_photograph(photograph: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A tile of ground of an RGB photograph from above, as wide as a drawn one, mirrored so that it repeats.
+
+    Half of the tile's width is the width of the photograph, of which no more than a square is taken.
+    """
+    square = photograph[: photograph.shape[1]]
+    height, width = square.shape[:2]
+    half = TILE_TEXELS[1] // 2
+    how = cv2.INTER_AREA if half < width else cv2.INTER_LINEAR
+    fitted = cv2.resize(square, (half, max(1, round(height * half / width))), interpolation=how)
+    beside = np.concatenate((fitted, fitted[:, ::-1]), axis=1)
+    return np.concatenate((beside, beside[::-1])).astype(np.uint8, copy=False)
 
 
 def ground_to_texels() -> NDArray[np.float64]:
@@ -75,7 +89,7 @@ def _add_road(
     blades: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """An asphalt road across the line, with worn edges and a dashed middle."""
-    off_m = np.abs(x - _ROAD_X_M - 3 * np.sin(2 * np.pi * y / TILE_M[0]))
+    off_m = np.abs(x - _ROAD_X_M - 3 * np.sin(2 * np.pi * y / _TILE_Y_M))
     ragged_m = off_m + 0.12 * tufts + 0.05 * blades
     ground = _mix(ground, _GRAVEL, _step(-ragged_m, -_ROAD_HALF_M - 0.9, -_ROAD_HALF_M - 0.2))
     asphalt = _mix(_flat(_ASPHALT), _GRAVEL, 0.12 + 0.05 * tufts + 0.07 * blades)
@@ -92,7 +106,7 @@ def _add_track(
     blades: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """The two ruts of a field track beside the line."""
-    off_m = np.abs(y - _TRACK_Y_M - 1.4 * np.sin(4 * np.pi * x / TILE_M[1]))
+    off_m = np.abs(y - _TRACK_Y_M - 1.4 * np.sin(4 * np.pi * x / _TILE_X_M))
     rut_m = np.abs(off_m - _RUT_M) + 0.08 * tufts + 0.05 * blades
     return _mix(ground, _GRAVEL, _step(-rut_m, -0.5, -0.1) * 0.85)
 

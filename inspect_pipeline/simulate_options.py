@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 class FlightKind(StrEnum):
@@ -50,7 +54,7 @@ class SimulationOptions:
 
     n_structures: of a line that ends, the first one behind the start; None for one longer than the flight.
     n_phases conductors, n_bundle wires each, hang beside each other, and a neutral one below them.
-    faults: each is planted once; what is named twice, twice.
+    faults: each is planted once; what is named twice, twice. ground: a photograph of it, else it is drawn.
     """
 
     seconds: float = 20.0
@@ -63,3 +67,4 @@ class SimulationOptions:
     n_bundle: int = 1
     faults: tuple[FaultKind, ...] = ()
     schema: SchemaKind = SchemaKind.FOXGLOVE
+    ground: Path | None = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from inspect_pipeline.simulate_ground import TILE_M, ground_to_texels
+from inspect_pipeline.simulate_ground import TEXEL_M, ground_to_texels
 from inspect_pipeline.simulate_line import POLE_HEIGHT_M
 from inspect_pipeline.simulate_scene import Camera, Tree, visible_parts
 
@@ -79,7 +79,7 @@ def render(landscape: Landscape, camera: Camera, quality: Quality, rng: np.rando
 
 def _draw_ground(landscape: Landscape, camera: Camera) -> Image:
     """The plane z = 0, which a homography maps to the image; the camera is moved onto the first tile."""
-    tile_y_m, tile_x_m = TILE_M
+    tile_y_m, tile_x_m = (n * TEXEL_M for n in landscape.ground.shape[:2])
     x, y, z = camera.position
     moved = Camera(
         np.array([x % tile_x_m, y % tile_y_m, z]), camera.rotation, camera.focal_px, camera.image_size

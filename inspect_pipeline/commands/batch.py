@@ -10,6 +10,7 @@ import typer
 
 from inspect_pipeline.commands.batch_log import LogFormat, open_log, printable
 from inspect_pipeline.commands.options import (
+    DemOption,
     GroundAltOption,
     MinScoreOption,
     ScaleOption,
@@ -74,6 +75,7 @@ def batch(
     write: WriteOption = "copy",
     schema: SchemaOption = "protobuf",
     ground_alt: GroundAltOption = None,
+    dem: DemOption = None,
     view: ViewOption = None,
     wire: WireOption = 22.0,
     weights: WeightsOption = "fast",
@@ -113,7 +115,7 @@ def batch(
         strict=strict,
         write=write,
         schema=schema,
-        placing=PlacingOptions(ground_alt, view, wire / 1000),
+        placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
     )
     job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score))
     options = BatchOptions(

@@ -61,6 +61,14 @@ GroundAltOption = Annotated[
         help="Altitude of the ground as the positions count it; else as the recording says.",
     ),
 ]
+DemOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--dem",
+        metavar="FILE",
+        help="A terrain model (GeoTIFF): how the ground rises from where a recording begins (extra geo).",
+    ),
+]
 ViewOption = Annotated[
     float | None,
     typer.Option(

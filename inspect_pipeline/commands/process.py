@@ -11,6 +11,7 @@ import typer
 
 from inspect_pipeline.commands.batch_log import printable
 from inspect_pipeline.commands.options import (
+    DemOption,
     GroundAltOption,
     JsonOption,
     MinScoreOption,
@@ -57,6 +58,7 @@ def process(
     schema: SchemaOption = "protobuf",
     force: Annotated[bool, typer.Option("--force", help="Process again what is in the store.")] = False,
     ground_alt: GroundAltOption = None,
+    dem: DemOption = None,
     view: ViewOption = None,
     wire: WireOption = 22.0,
     weights: WeightsOption = "fast",
@@ -82,7 +84,7 @@ def process(
         force,
         write=write,
         schema=schema,
-        placing=config.PlacingOptions(ground_alt, view, wire / 1000),
+        placing=config.PlacingOptions(ground_alt, view, wire / 1000, dem),
     )
     the_store = Store(store_path(store))
     there, exit_code = _those_that_are_there(files)

@@ -33,6 +33,10 @@ def simulate(
     ] = None,
     phases: Annotated[int, typer.Option(min=1, max=12, metavar="N", help="Beside each other.")] = 3,
     bundle: Annotated[int, typer.Option(min=1, max=4, metavar="N", help="Wires of a phase.")] = 1,
+    ground: Annotated[
+        Path | None,
+        typer.Option(metavar="PHOTO", help="A photograph from above as the ground, 80 m wide; else drawn."),
+    ] = None,
     schema: Annotated[SchemaKind, typer.Option(help="Of the messages.")] = SchemaKind.FOXGLOVE,
 ) -> None:
     """Make a recording of a drawn flight along a power line, and beside it the truth as FILE.truth.json.
@@ -52,6 +56,7 @@ def simulate(
         n_bundle=bundle,
         faults=tuple(fault or ()),
         schema=schema,
+        ground=ground,
     )
     truth = simulate_flight(target, options)
     typer.echo(f"{target}\n{truth}")

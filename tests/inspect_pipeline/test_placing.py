@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import duckdb
 import numpy as np
@@ -13,6 +14,8 @@ from fakes import FakeDetector
 from inspect_pipeline.attitude import YawPitchRoll
 from inspect_pipeline.calibrations import Intrinsics
 from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_run
+from inspect_pipeline.elevation import load_elevation
+from inspect_pipeline.errors import TerrainError
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.placing import FramePlace, FramePlacer
 from inspect_pipeline.poses import PoseTrack, Samples
@@ -21,6 +24,10 @@ from inspect_pipeline.simulate_options import FaultKind, SimulationOptions
 from inspect_pipeline.simulate_truth import simulate_truth
 from inspect_pipeline.store import Store
 from inspect_pipeline.types import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 HERE = (52.0, 5.0, 80.0)
 TIME_NS = 1_700_000_000 * 10**9
@@ -36,10 +43,13 @@ def frame(width: int = 1280) -> Frame:
     return Frame(1, "/camera", 0, TIME_NS + 4_000_000, TIME_NS, TIME_NS, "", image)
 
 
-def placed(track: PoseTrack, *, width: int = 1280, **options: float | None) -> FramePlace:
+def placed(track: PoseTrack, *, width: int = 1280, **options: float | Path | None) -> FramePlace:
     lens = Intrinsics((720, 1280), (1000.0, 1000.0), (640.0, 360.0), "", ())
     lenses = {1: lens} if options.pop("with_lens", 1) else {}
-    return FramePlacer(track, lenses, PlacingOptions(**options)).place(frame(width))
+    terrain = options.get("terrain")
+    return FramePlacer(
+        track, lenses, PlacingOptions(**options), load_elevation(terrain) if terrain else None
+    ).place(frame(width))
 
 
 def track(*, camera: bool = True, vehicle: bool = True, height_m: float | None = 30.0) -> PoseTrack:
@@ -157,3 +167,63 @@ def test_the_ground_is_where_the_truth_would_have_it(
         assert distance_m == pytest.approx(row["height_m"] / np.tan(down), abs=1e-3)
         assert np.cos(np.radians(azimuth_deg - row["cam_yaw_deg"])) == pytest.approx(1)
         assert row["gsd_m"] == pytest.approx(row["height_m"] / np.sin(down) / row["focal_px"])
+
+
+def write_dem(path: Path, height_m: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Path:
+    """A GeoTIFF of 1 km about `HERE` in UTM, heights by metres east and north of it."""
+    rasterio = pytest.importorskip("rasterio")
+    to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32631", always_xy=True)
+    x, y = to_utm.transform(HERE[1], HERE[0])
+    side, cell_m = 200, 5.0
+    at = (np.arange(side) + 0.5) * cell_m - side * cell_m / 2
+    heights = height_m(*np.meshgrid(at, -at)).astype(np.float32)
+    transform = rasterio.transform.from_origin(x - side * cell_m / 2, y + side * cell_m / 2, cell_m, cell_m)
+    shape = {"height": side, "width": side, "count": 1, "dtype": "float32", "nodata": -9999.0}
+    with rasterio.open(path, "w", driver="GTiff", crs="EPSG:32631", transform=transform, **shape) as file:
+        file.write(heights, 1)
+    return path
+
+
+def test_ground_rises_as_the_terrain_does(tmp_path: Path) -> None:
+    """Ground that rises by a quarter to the north, seen at 45 degrees from 30 m: met 24 m ahead, 6 m up."""
+    dem = write_dem(tmp_path / "dem.tif", lambda _, north: 1000 + 0.25 * north)
+    place = placed(track(), terrain=dem)
+    assert place.height_m == pytest.approx(30, abs=0.1)
+    assert metres_from_here(place) == pytest.approx((0, 24), abs=0.1)
+    assert place.gsd_m == pytest.approx(24 * np.sqrt(2) / 1000, rel=0.01)
+
+
+def test_heights_count_from_where_the_recording_begins(tmp_path: Path) -> None:
+    """100 m to the north, the ground of the same slope is 25 m higher."""
+    dem = write_dem(tmp_path / "dem.tif", lambda _, north: 1000 + 0.25 * north)
+    north_lat_deg = HERE[0] + 100 / 111_258
+    flown = Samples(
+        np.array([TIME_NS, TIME_NS + 10**6], np.uint64), np.array([HERE, (north_lat_deg, HERE[1], 80.0)])
+    )
+    place = placed(replace(track(), positions=flown), terrain=dem)
+    assert place.height_m == pytest.approx(5, abs=0.2)
+
+
+def test_beside_the_terrain_nothing_is_known(tmp_path: Path) -> None:
+    dem = write_dem(tmp_path / "dem.tif", lambda east, _: np.where(east > -100, np.nan, 7.0))
+    place = placed(track(), terrain=dem)
+    assert (place.lat_deg, place.height_m, place.gsd_m) == (HERE[0], None, None)
+
+
+def test_what_is_no_terrain_model(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    text = tmp_path / "dem.tif"
+    text.write_text("no heights")
+    with pytest.raises(TerrainError, match="cannot be read as a terrain model"):
+        start_run(FakeDetector(), ProcessOptions(placing=PlacingOptions(terrain=text)))
+
+
+def test_the_content_of_a_terrain_model_tells_runs_apart(tmp_path: Path) -> None:
+    def digest(path: Path | None) -> str:
+        return start_run(FakeDetector(), ProcessOptions(placing=PlacingOptions(terrain=path))).config_sha256
+
+    first = write_dem(tmp_path / "a.tif", lambda _, north: 0.1 * north)
+    other = write_dem(tmp_path / "b.tif", lambda _, north: 0.2 * north)
+    before = digest(first)
+    assert len({before, digest(other), digest(None)}) == 3
+    assert digest(first.rename(tmp_path / "c.tif")) == before

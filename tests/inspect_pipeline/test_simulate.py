@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -20,6 +21,7 @@ from inspect_pipeline.quality import measure_quality
 from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.simulate import SimulationOptions, simulate_flight
+from inspect_pipeline.simulate_ground import lay_photograph
 from inspect_pipeline.simulate_line import hang_line
 from inspect_pipeline.simulate_scene import Gaze, look, visible_parts
 
@@ -160,3 +162,37 @@ def test_every_option_of_the_command_counts(
     for image, frame in zip(images, truth["frames"], strict=True):
         sharpness[frame["quality"]].append(measure_quality(image).sharpness)
     assert max(sharpness["blurred"]) < min(sharpness["ok"]) / 2
+
+
+@pytest.mark.slow
+def test_a_photograph_is_the_ground(tmp_path: Path) -> None:
+    """A photograph without green: what is drawn has hardly anything else."""
+    photograph, target = tmp_path / "photo.png", tmp_path / "flight.mcap"
+    bgr = np.full((60, 80, 3), (200, 60, 190), np.uint8)
+    cv2.imwrite(str(photograph), bgr)
+    simulate_flight(target, replace(OPTIONS, ground=photograph))
+    (_, first), *_ = read(target, CompressedImage, "/camera/image")
+    pixels = cv2.imdecode(np.frombuffer(first.data, np.uint8), cv2.IMREAD_COLOR)
+    assert np.median(pixels.reshape(-1, 3), axis=0) == pytest.approx((200, 60, 190), abs=6)
+    truth = json.loads(target.with_suffix(".truth.json").read_text())
+    assert truth["options"]["ground"] == "photo.png"
+
+
+def test_what_is_no_photograph_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, target = tmp_path / "photo.png", tmp_path / "flight.mcap"
+    text.write_text("no picture")
+    monkeypatch.setattr(sys, "argv", ["lsnet-pipe", "simulate", str(target), "--ground", str(text)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.startswith(f"error: {text}: cannot be read as an image")
+    assert [path.name for path in tmp_path.iterdir()] == ["photo.png"]
+
+
+def test_a_tile_of_a_photograph_repeats() -> None:
+    tile = lay_photograph(np.random.default_rng(0).integers(0, 256, (30, 40, 3), np.uint8))
+    assert tile.shape == (3072, 4096, 3)
+    assert np.array_equal(tile[0], tile[-1])
+    assert np.array_equal(tile[:, 0], tile[:, -1])

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from inspection_truth import coverage_errors, match, true_coverage
 
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.simulate_types import FlightTruth
 
-_SECONDS, _FPS = 40.0, 4.0
+_FPS = 4.0
+_TRUE_S, _DRAWN_S = 40.0, 20.0
 _TRUE_SIZE, _DRAWN_SIZE = (720, 1280), (360, 640)  # height, width
 
 
@@ -47,8 +49,8 @@ class Case:
     @property
     def options(self) -> SimulationOptions:
         faults = () if self.fault is None else (self.fault,)
-        size = _DRAWN_SIZE if self.is_drawn else _TRUE_SIZE
-        return SimulationOptions(_SECONDS, _FPS, size, self.seed, self.flight, faults=faults)
+        seconds, size = (_DRAWN_S, _DRAWN_SIZE) if self.is_drawn else (_TRUE_S, _TRUE_SIZE)
+        return SimulationOptions(seconds, _FPS, size, self.seed, self.flight, faults=faults)
 
     def __str__(self) -> str:
         how = ", drawn" if self.is_drawn else ""
@@ -68,6 +70,7 @@ class Outcome:
 
 def run_case(case: Case) -> Outcome:
     """Simulate a flight, put it into a store, and compare what the index says with the truth."""
+    cv2.setNumThreads(1)  # cases run beside each other
     plan = plan_flight(case.options)
     truth = truth_of(plan)
     rng = np.random.default_rng(case.seed)

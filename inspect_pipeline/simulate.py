@@ -63,7 +63,7 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     """Write a recording to `target` and the truth beside it, whose path is returned.
 
     Raises OutputError when the target exists or cannot be written, LSNetError for a photograph that cannot
-    be read.
+    be read, or without Mitsuba where that is asked for.
     """
     truth_path = target.with_suffix(".truth.json")
     plan = plan_flight(options)
@@ -96,7 +96,12 @@ def _fly(author: Author, plan: FlightPlan, truth: FlightTruth) -> None:
         if not frame.dropped:
             camera = plan.camera(time_ns)
             _write_calibration(author, topics.calibration, frame, camera)
-            _write_image(author, topics.image, frame, render(landscape, camera, frame.quality, rng))
+            _write_image(
+                author,
+                topics.image,
+                frame,
+                render(landscape, camera, frame.quality, rng, plan.options.render),
+            )
 
 
 def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:

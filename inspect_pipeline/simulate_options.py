@@ -26,6 +26,13 @@ class SchemaKind(StrEnum):
     ROS2 = "ros2"
 
 
+class RenderKind(StrEnum):
+    """How conductors come into the pictures: drawn, or traced by Mitsuba (extra `synth`)."""
+
+    DRAWN = "drawn"
+    PBR = "pbr"
+
+
 class FaultKind(StrEnum):
     """What can be wrong with the line, then with the pictures and the messages."""
 
@@ -68,3 +75,4 @@ class SimulationOptions:
     faults: tuple[FaultKind, ...] = ()
     schema: SchemaKind = SchemaKind.FOXGLOVE
     ground: Path | None = None
+    render: RenderKind = RenderKind.DRAWN

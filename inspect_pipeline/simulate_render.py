@@ -10,6 +10,7 @@ import numpy as np
 
 from inspect_pipeline.simulate_ground import TEXEL_M, ground_to_texels
 from inspect_pipeline.simulate_line import POLE_HEIGHT_M
+from inspect_pipeline.simulate_options import RenderKind
 from inspect_pipeline.simulate_scene import Camera, Tree, visible_parts
 
 if TYPE_CHECKING:
@@ -61,8 +62,17 @@ class Landscape:
     sun: NDArray[np.float64]
 
 
-def render(landscape: Landscape, camera: Camera, quality: Quality, rng: np.random.Generator) -> Image:
-    """The RGB image (height, width, 3) the camera takes, with blur and noise, good or spoiled."""
+def render(
+    landscape: Landscape,
+    camera: Camera,
+    quality: Quality,
+    rng: np.random.Generator,
+    kind: RenderKind = RenderKind.DRAWN,
+) -> Image:
+    """The RGB image (height, width, 3) the camera takes, with blur and noise, good or spoiled.
+
+    Raises LSNetError when Mitsuba is needed and not installed.
+    """
     image = _draw_ground(landscape, camera)
     for pole_x in landscape.poles:
         _draw_pole_shadow(image, camera, pole_x, landscape.sun)
@@ -70,7 +80,8 @@ def render(landscape: Landscape, camera: Camera, quality: Quality, rng: np.rando
         _draw_tree(image, camera, tree, landscape.sun)
     for pole_x in reversed(landscape.poles):
         _draw_pole(image, camera, pole_x, landscape.crossarm_half_m)
-    sharp = _draw_conductors(image, camera, landscape.conductors)
+    put = _draw_conductors if kind == RenderKind.DRAWN else _trace_conductors
+    sharp = put(image, camera, landscape)
     sigma_px, gain = _SPOILED.get(quality, (0.6, 1.0))
     noise = _NOISE * rng.standard_normal(image.shape, np.float32)
     taken: Image = np.clip(gain * cv2.GaussianBlur(sharp, (0, 0), sigma_px) + noise, 0, 255).astype(np.uint8)
@@ -190,11 +201,27 @@ def _draw_beam(
         cv2.fillPoly(image, [outline], colour, cv2.LINE_AA, _SHIFT)
 
 
-def _draw_conductors(image: Image, camera: Camera, conductors: Iterable[Conductor]) -> NDArray[np.float32]:
+def _trace_conductors(image: Image, camera: Camera, landscape: Landscape) -> NDArray[np.float32]:
+    """The image with its conductors, as float32: traced by themselves, laid over it."""
+    from lsnet.synth.wires import View, render_wires  # noqa: PLC0415 - loads much
+
+    wires = [
+        (conductor.points[max(part.first - 1, 0) : part.last + 1], conductor.diameter_m / 2)
+        for conductor in landscape.conductors
+        for part in visible_parts(camera, conductor)
+    ]
+    view = View(camera.position, camera.rotation, camera.focal_px, camera.image_size)
+    traced = render_wires(wires, view, landscape.sun).astype(np.float32)
+    alpha = traced[..., 3:] / 255
+    covered: NDArray[np.float32] = (image * (1 - alpha) + traced[..., :3] * alpha).astype(np.float32)
+    return covered
+
+
+def _draw_conductors(image: Image, camera: Camera, landscape: Landscape) -> NDArray[np.float32]:
     """The image with its conductors, as float32: strokes in fine pixels, averaged, laid over it."""
     height, width = camera.image_size
     fine = np.zeros((height * _FINER, width * _FINER, 2), np.uint8)  # brightness, coverage
-    for conductor in conductors:
+    for conductor in landscape.conductors:
         for part in visible_parts(camera, conductor):
             _draw_strokes(fine, part.pixels * _FINER, part.widths_px * _FINER)
     averaged = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.simulate_options import FaultKind, FlightKind, SchemaKind
+from inspect_pipeline.simulate_options import FaultKind, FlightKind, RenderKind, SchemaKind
 
 
 def _parse_size(text: str) -> tuple[int, int]:
@@ -37,6 +37,9 @@ def simulate(
         Path | None,
         typer.Option(metavar="PHOTO", help="A photograph from above as the ground, 80 m wide; else drawn."),
     ] = None,
+    render: Annotated[
+        RenderKind, typer.Option(help="Conductors drawn quickly, or traced by Mitsuba (extra synth).")
+    ] = RenderKind.DRAWN,
     schema: Annotated[SchemaKind, typer.Option(help="Of the messages.")] = SchemaKind.FOXGLOVE,
 ) -> None:
     """Make a recording of a drawn flight along a power line, and beside it the truth as FILE.truth.json.
@@ -57,6 +60,7 @@ def simulate(
         faults=tuple(fault or ()),
         schema=schema,
         ground=ground,
+        render=render,
     )
     truth = simulate_flight(target, options)
     typer.echo(f"{target}\n{truth}")

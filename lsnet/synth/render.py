@@ -157,7 +157,7 @@ def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES)
 
     Raises LSNetError when Mitsuba is not installed.
     """
-    mi = _mitsuba()
+    mi = load_mitsuba()
     camera = layout.camera
     to_world = mi.ScalarTransform4f().look_at(origin=camera.origin, target=camera.target, up=[0, 0, 1])
     film = {"type": "hdrfilm", "width": camera.size, "height": camera.size, "pixel_format": "rgba"}
@@ -185,7 +185,7 @@ def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES)
             grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": float(rng.uniform(0.1, 0.5))}}
             scene |= {f"rod{k}_{i}": shape | {"bsdf": grey} for i, shape in enumerate(_shapes(mi, rod))}
         pixels = np.array(mi.render(mi.load_dict(scene)), np.float64)
-    return _developed(pixels, rng)
+    return exposed(pixels, rng.uniform(0.08, 1.1))  # from dim to white
 
 
 def _shapes(mi: Any, rod: Rod) -> list[dict[str, Any]]:
@@ -225,17 +225,18 @@ def _light(mi: Any, light: Path | None, rng: Rng) -> dict[str, Any]:
     return {"type": "envmap", "filename": str(light), "to_world": upright}
 
 
-def _developed(pixels: NDArray[np.float64], rng: Rng) -> NDArray[np.uint8]:
-    """Exposed so that the bright parts of the cables come out anywhere from dim to white."""
+def exposed(pixels: NDArray[np.float64], brightness: float) -> NDArray[np.uint8]:
+    """As sRGB and alpha, linear (H, W, 4) with the bright parts of cables at a brightness; 1 is white."""
     alpha = np.clip(pixels[..., 3:], 0, 1)
     colour = np.maximum(np.nan_to_num(pixels[..., :3]), 0) / np.maximum(alpha, 1e-3)
     is_cable = alpha[..., 0] > 0.3
     bright = np.percentile(colour[is_cable].mean(axis=1), 95) if is_cable.any() else 1.0
-    exposed = np.clip(colour * rng.uniform(0.08, 1.1) / max(bright, 1e-6), 0, 1) ** (1 / 2.2)
-    return np.round(np.concatenate([exposed, alpha], axis=2) * 255).astype(np.uint8)
+    lit = np.clip(colour * brightness / max(bright, 1e-6), 0, 1) ** (1 / 2.2)
+    return np.round(np.concatenate([lit, alpha], axis=2) * 255).astype(np.uint8)
 
 
-def _mitsuba() -> Any:
+def load_mitsuba() -> Any:
+    """Mitsuba, on one thread; raises LSNetError when it is not installed."""
     try:
         import drjit  # noqa: PLC0415 -- an extra
         import mitsuba  # noqa: PLC0415
@@ -277,7 +278,7 @@ def render_many(
 
     Raises LSNetError when Mitsuba is not installed, the folder cannot be made or holds no lights.
     """
-    _mitsuba()
+    load_mitsuba()
     maps = sorted(lights.glob("*.hdr")) if lights else []
     if lights and not maps:
         raise LSNetError(f"{lights}: no .hdr files in it; give a folder of environment maps")

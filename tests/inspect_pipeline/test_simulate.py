@@ -23,6 +23,7 @@ from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.simulate import SimulationOptions, simulate_flight
 from inspect_pipeline.simulate_ground import lay_photograph
 from inspect_pipeline.simulate_line import hang_line
+from inspect_pipeline.simulate_options import RenderKind
 from inspect_pipeline.simulate_scene import Gaze, look, visible_parts
 
 if TYPE_CHECKING:
@@ -196,3 +197,28 @@ def test_a_tile_of_a_photograph_repeats() -> None:
     assert tile.shape == (3072, 4096, 3)
     assert np.array_equal(tile[0], tile[-1])
     assert np.array_equal(tile[:, 0], tile[:, -1])
+
+
+@pytest.mark.slow
+def test_traced_conductors_are_where_the_truth_says(tmp_path: Path) -> None:
+    """They are bright on the true lines, beside which the picture is the drawn one."""
+    pytest.importorskip("mitsuba")
+    photograph = tmp_path / "grey.png"
+    cv2.imwrite(str(photograph), np.full((60, 80, 3), 90, np.uint8))
+    options = replace(OPTIONS, seconds=0.5, ground=photograph)
+    pictures = []
+    for kind in (RenderKind.PBR, RenderKind.DRAWN):
+        target = tmp_path / kind / "demo.mcap"
+        target.parent.mkdir()
+        simulate_flight(target, replace(options, render=kind))
+        ((_, image),) = read(target, CompressedImage, "/camera/image")
+        pictures.append(pixels_of(image).astype(float))
+    (frame,) = truth_of(tmp_path / "pbr" / "demo.mcap")
+    beside, on = np.ones(pictures[0].shape, np.uint8), np.zeros(pictures[0].shape, np.uint8)
+    for line in frame["lines"]:
+        corners = np.rint(np.array(line["points"]) - 0.5).astype(np.int32)
+        cv2.polylines(beside, [corners], False, 0, 7)
+        cv2.polylines(on, [corners], False, 1, 1)
+    traced, drawn = pictures
+    assert np.median(traced[on == 1]) > 120  # over ground of 90
+    assert (np.abs(traced - drawn) > 25)[beside == 1].mean() < 0.001

@@ -103,12 +103,17 @@ def batch(
 
     Example: lsnet-pipe batch /data/inbox --store /data/inspections --tag line=L12
     """
-    from inspect_pipeline.batch import BatchOptions
-    from inspect_pipeline.config import PlacingOptions, ProcessOptions
     from inspect_pipeline.store import Store, store_path
-    from inspect_pipeline.worker import Job, LoadDetector
 
     the_store = Store(store_path(store))
+    if not dry_run:
+        with the_store.batch_lock():  # a second batch ends here, before what is slow to import
+            pass
+
+    from inspect_pipeline.batch import BatchOptions
+    from inspect_pipeline.config import PlacingOptions, ProcessOptions
+    from inspect_pipeline.worker import Job, LoadDetector
+
     process_options = ProcessOptions(
         tuple(topic) if topic else None,
         every,

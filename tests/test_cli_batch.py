@@ -14,6 +14,7 @@ import pytest
 from factories import make_recording, shots
 from prometheus_client.parser import text_string_to_metric_families
 from stubs import InlineExecutor, make_stub_in_cwd
+from terrain import write_dem
 
 import cli
 from inspect_pipeline import batch, worker
@@ -115,6 +116,7 @@ def test_options_from_a_file(run: Callable[..., Outcome], tmp_path: Path) -> Non
 
 
 def test_every_option_can_be_in_the_file(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    write_dem(tmp_path / "terrain.tif", (47.0, 3.0), lambda east, _: 0 * east)
     (tmp_path / "night.toml").write_text(
         """
         inbox = ["inbox"]
@@ -134,6 +136,7 @@ def test_every_option_can_be_in_the_file(run: Callable[..., Outcome], tmp_path: 
         ground-alt = 120.5
         view = 80
         wire = 28.5
+        dem = "terrain.tif"
         weights = "fast"
         scale = 0.5
         min-score = 0.4

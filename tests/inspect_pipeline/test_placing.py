@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 import pytest
 from fakes import FakeDetector
+from terrain import write_dem
 
 from inspect_pipeline.attitude import YawPitchRoll
 from inspect_pipeline.calibrations import Intrinsics
@@ -26,7 +27,6 @@ from inspect_pipeline.store import Store
 from inspect_pipeline.types import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 HERE = (52.0, 5.0, 80.0)
@@ -169,24 +169,9 @@ def test_the_ground_is_where_the_truth_would_have_it(
         assert row["gsd_m"] == pytest.approx(row["height_m"] / np.sin(down) / row["focal_px"])
 
 
-def write_dem(path: Path, height_m: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Path:
-    """A GeoTIFF of 1 km about `HERE` in UTM, heights by metres east and north of it."""
-    rasterio = pytest.importorskip("rasterio")
-    to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32631", always_xy=True)
-    x, y = to_utm.transform(HERE[1], HERE[0])
-    side, cell_m = 200, 5.0
-    at = (np.arange(side) + 0.5) * cell_m - side * cell_m / 2
-    heights = height_m(*np.meshgrid(at, -at)).astype(np.float32)
-    transform = rasterio.transform.from_origin(x - side * cell_m / 2, y + side * cell_m / 2, cell_m, cell_m)
-    shape = {"height": side, "width": side, "count": 1, "dtype": "float32", "nodata": -9999.0}
-    with rasterio.open(path, "w", driver="GTiff", crs="EPSG:32631", transform=transform, **shape) as file:
-        file.write(heights, 1)
-    return path
-
-
 def test_ground_rises_as_the_terrain_does(tmp_path: Path) -> None:
     """Ground that rises by a quarter to the north, seen at 45 degrees from 30 m: met 24 m ahead, 6 m up."""
-    dem = write_dem(tmp_path / "dem.tif", lambda _, north: 1000 + 0.25 * north)
+    dem = write_dem(tmp_path / "dem.tif", HERE[:2], lambda _, north: 1000 + 0.25 * north)
     place = placed(track(), terrain=dem)
     assert place.height_m == pytest.approx(30, abs=0.1)
     assert metres_from_here(place) == pytest.approx((0, 24), abs=0.1)
@@ -195,7 +180,7 @@ def test_ground_rises_as_the_terrain_does(tmp_path: Path) -> None:
 
 def test_heights_count_from_where_the_recording_begins(tmp_path: Path) -> None:
     """100 m to the north, the ground of the same slope is 25 m higher."""
-    dem = write_dem(tmp_path / "dem.tif", lambda _, north: 1000 + 0.25 * north)
+    dem = write_dem(tmp_path / "dem.tif", HERE[:2], lambda _, north: 1000 + 0.25 * north)
     north_lat_deg = HERE[0] + 100 / 111_258
     flown = Samples(
         np.array([TIME_NS, TIME_NS + 10**6], np.uint64), np.array([HERE, (north_lat_deg, HERE[1], 80.0)])
@@ -205,7 +190,7 @@ def test_heights_count_from_where_the_recording_begins(tmp_path: Path) -> None:
 
 
 def test_beside_the_terrain_nothing_is_known(tmp_path: Path) -> None:
-    dem = write_dem(tmp_path / "dem.tif", lambda east, _: np.where(east > -100, np.nan, 7.0))
+    dem = write_dem(tmp_path / "dem.tif", HERE[:2], lambda east, _: np.where(east > -100, np.nan, 7.0))
     place = placed(track(), terrain=dem)
     assert (place.lat_deg, place.height_m, place.gsd_m) == (HERE[0], None, None)
 
@@ -222,8 +207,8 @@ def test_the_content_of_a_terrain_model_tells_runs_apart(tmp_path: Path) -> None
     def digest(path: Path | None) -> str:
         return start_run(FakeDetector(), ProcessOptions(placing=PlacingOptions(terrain=path))).config_sha256
 
-    first = write_dem(tmp_path / "a.tif", lambda _, north: 0.1 * north)
-    other = write_dem(tmp_path / "b.tif", lambda _, north: 0.2 * north)
+    first = write_dem(tmp_path / "a.tif", HERE[:2], lambda _, north: 0.1 * north)
+    other = write_dem(tmp_path / "b.tif", HERE[:2], lambda _, north: 0.2 * north)
     before = digest(first)
     assert len({before, digest(other), digest(None)}) == 3
     assert digest(first.rename(tmp_path / "c.tif")) == before

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MIN_OFFSET_PX = 0.7  # linking with less tolerance than this would cut lines at random
 TIGHTER = 0.6  # of the tolerance, when a chain is taken apart
-SURE_LENGTHS_PX = (30.0, 120.0)  # least and greatest length that counts as sure, whatever the image
+SURE_LENGTHS_PX = (30.0, 250.0)  # least and greatest length that counts as sure, whatever the image
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class MergeConfig:
     max_bridge_px: float = 60.0  # along the line, between chains that go on in each other's direction
     max_spread_px: float = 1.5  # of a chain's segments about its polyline; a wider chain is taken apart
     min_length_px: float = 40.0  # a shorter chain is no line
-    sure_length: float = 0.25  # of the image's shorter side, at which a line has earned 63 % for its length
+    sure_length: float = 0.5  # of the image's shorter side, at which a line has earned 63 % for its length
     sure_support: float = 2.0  # cells that tell each stretch of a line, of four, that are enough
     step_px: float = 16.0  # between the points of a polyline, before it is simplified
     flatness_px: float = 0.4  # how far simplifying may move it
@@ -187,14 +187,15 @@ class _Chains:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
     """Polylines of C chains: points (P, 2), of chain k from first[k] to first[k + 1], and per chain (C,)
-    its extent, the spread of its segments about it, their mean score, and how many cells tell a stretch.
+    its extent, the spread of its segments about it, the upper quartile of their scores, and how many cells
+    tell a stretch.
     """
 
     points: Float
     first: Int
     extent_px: Float
     spread_px: Float
-    mean_score: Float
+    upper_score: Float
     support: Float
 
     def polyline(self, k: int) -> Float:
@@ -205,7 +206,7 @@ class _Fit:
         """(C,) score of each line."""
         sure_px = np.clip(config.sure_length * min(image_size), *SURE_LENGTHS_PX)
         earned = 1 - np.exp(-self.extent_px / sure_px)
-        out: Float = self.mean_score * earned * np.minimum(self.support / config.sure_support, 1)
+        out: Float = self.upper_score * earned * np.minimum(self.support / config.sure_support, 1)
         return out
 
 
@@ -237,8 +238,17 @@ def _fit(ends: Float, scores: Float, chains: _Chains, config: MergeConfig) -> _F
     distance = offsets[here] * (1 - share) + offsets[here + 1] * share - v.mean(axis=1)
     spread = np.sqrt(chains.sum(scores * distance**2) / chains.sum(scores))
     lengths = length(ends).astype(float)
-    total = np.maximum(chains.sum(lengths), 1e-9)
-    return _Fit(points, first, extent, spread, chains.sum(scores * lengths) / total, total / extent)
+    return _Fit(points, first, extent, spread, _upper_quartiles(scores, chains), chains.sum(lengths) / extent)
+
+
+def _upper_quartiles(scores: Float, chains: _Chains) -> Float:
+    """(C,) upper quartile of the scores of each chain: what crosses or hides a line lowers a mean."""
+    ordered = scores[np.lexsort((scores, chains.number))]
+    place = chains.first[:-1] + 0.75 * (np.diff(chains.first) - 1)
+    before = place.astype(np.intp)
+    after = np.minimum(before + 1, chains.first[1:] - 1)
+    out: Float = ordered[before] + (place - before) * (ordered[after] - ordered[before])
+    return out
 
 
 def _main_axes(ends: Float, scores: Float, chains: _Chains) -> tuple[Float, Float]:

@@ -175,3 +175,16 @@ def test_what_only_every_fourth_cell_tells_scores_half() -> None:
     order = np.argsort(segments.endpoints[:, [0, 2]].mean(axis=1), kind="stable")[::4]
     sparse = Segments(segments.endpoints[order], segments.scores[order], SIZE)
     assert merge(sparse).scores[0] == pytest.approx(merge(segments).scores[0] / 2, rel=0.15)
+
+
+def test_the_upper_quartile_of_the_scores_counts() -> None:
+    """Of two lines at once, each by its own: a few unsure cells, as where something crosses, cost nothing."""
+    dice = np.random.default_rng(3)
+    one, other = cells_of([(0, 60), (384, 60)]), cells_of([(0, 250), (384, 250)])
+    drawn = [dice.uniform(0.4, 0.95, len(part)).astype(np.float32) for part in (one, other)]
+    both = Segments(np.concatenate([one.endpoints, other.endpoints]), np.concatenate(drawn), SIZE)
+    earned = [merge(part).scores[0] / 0.9 for part in (one, other)]
+    lines = merge(both)
+    found = {round(float(p[:, 1].mean())): score for p, score in zip(lines.points, lines.scores, strict=True)}
+    for y, scores, share in zip((60, 250), drawn, earned, strict=True):
+        assert found[y] == pytest.approx(np.quantile(scores, 0.75) * share, rel=0.01)

@@ -113,7 +113,7 @@ def n_written(store: Store) -> int:
     ("begin", "seed", "n_rounds"),
     [
         *((start, i, 5) for i in range(4)),
-        *(pytest.param(fork, i, 10, marks=pytest.mark.slow) for i in range(4, 36)),
+        *(pytest.param(fork, i, 10, marks=pytest.mark.slow) for i in range(4, 52)),
     ],
 )
 def test_killed_at_random_points(

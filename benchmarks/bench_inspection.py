@@ -104,7 +104,7 @@ def real_flights() -> dict[str, dict[str, int]] | None:
     for name in ("caliterra_foxglove", "brighton_ros2"):
         with tempfile.TemporaryDirectory() as scratch:
             store = Store(Path(scratch))
-            put_recording(Path(folder) / "mcap" / f"{name}.mcap", store)
+            put_recording(Path(folder) / "data" / "mcap" / f"{name}.mcap", store)
             index.publish(store)
             rows = index.select(store, "SELECT kind, count(*) AS n FROM anomalies GROUP BY kind")
         found[name] = {row["kind"]: row["n"] for row in rows}

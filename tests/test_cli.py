@@ -333,6 +333,7 @@ def test_errors_of_the_detector_are_one_line(
         raise lsnet.LSNetError("no weights named 'mine'; there are: fast")
 
     monkeypatch.setattr(FakeDetector, "load", refuse)
+    (tmp_path / "a.mcap").touch()
     outcome = run("process", "a.mcap", "--weights", "mine")
     assert (outcome.exit_code, outcome.err) == (1, "error: no weights named 'mine'; there are: fast\n")
 

@@ -155,6 +155,8 @@ def test_every_option_of_the_command_counts(
         "n_bundle": 2,
         "faults": ["blur", "missing_conductor"],
         "schema": "ros2",
+        "ground": None,
+        "render": "drawn",
     }
     assert len(truth["structures"]) == 4
     assert {fault["kind"] for fault in truth["faults"]} == {"blur", "missing_conductor"}

@@ -132,7 +132,7 @@ def test_runtimes_have_the_precision_in_their_name() -> None:
     assert_close(
         open_backend(tiny_net(), "openvino-bf16").run([image]),
         [plain_torch(tiny_net(), image)],
-        tolerance=0.05,
+        tolerance=0.1,  # of random weights, through many layers of 8 bits of mantissa
     )
 
 

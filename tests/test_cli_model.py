@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from evaluation_sets import write_masks
 from nets import TINY, save_tiny
 from typer.testing import CliRunner
 
@@ -65,16 +66,6 @@ def test_bench_tells_what_was_measured(tmp_path: Path) -> None:
 def test_bench_without_json_is_a_sentence() -> None:
     result = run("bench", "--size", 32, "--seconds", 0.1, *TINY_RUN)
     assert "frames/s at 32x32: preset fast, torch f32" in result.stdout
-
-
-def write_masks(folder: Path) -> Path:
-    for kind in ("images", "masks"):
-        (folder / kind).mkdir(parents=True)
-    mask = np.zeros((64, 80), np.uint8)
-    mask[30:34] = 255
-    cv2.imwrite(str(folder / "masks/a.png"), mask)
-    cv2.imwrite(str(folder / "images/a.jpg"), np.dstack([255 - mask] * 3))
-    return folder
 
 
 def test_eval_of_sets_with_and_without_truth(tmp_path: Path) -> None:

@@ -6,9 +6,9 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import pytest
+from evaluation_sets import write_masks
 from hypothesis import given
 from hypothesis import strategies as st
 from nets import TINY
@@ -65,20 +65,10 @@ def test_crops_move_the_lines_with_the_image() -> None:
     np.testing.assert_array_equal(points, [[12, 20], [30, 41], [47, 31]])
 
 
-def with_masks(folder: Path) -> Path:
-    for kind in ("images", "masks"):
-        (folder / kind).mkdir(parents=True)
-    mask = np.zeros((64, 80), np.uint8)
-    mask[30:34] = 255
-    cv2.imwrite(str(folder / "masks/a.png"), mask)
-    cv2.imwrite(str(folder / "images/a.jpg"), np.dstack([255 - mask] * 3))
-    return folder
-
-
 @pytest.mark.usefixtures("small")
 def test_what_has_a_result_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lsnet.compare.cpu_ms_of", lambda _network: {"torch": 1.5})
-    comparison = Comparison(tmp_path, (), (with_masks(tmp_path / "masked"),), images=4, steps=2, crop=64)
+    comparison = Comparison(tmp_path, (), (write_masks(tmp_path / "masked"),), images=4, steps=2, crop=64)
     first, second = Candidate("a", TINY), Candidate("b", replace(TINY, stage_blocks=2))
     told: list[tuple[str, int]] = []
     rows = compare_all(comparison, (first,), workers=0)

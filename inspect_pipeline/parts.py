@@ -14,7 +14,8 @@ from inspect_pipeline.errors import RecordingError
 if TYPE_CHECKING:
     from pathlib import Path
 
-_LISTED = re.compile(r"^\s*-\s*[\"']?(.+?\.mcap)[\"']?\s*$", re.MULTILINE)
+# Items of relative_file_paths; those of `files`, which say the same since version 5, begin with a key.
+_LISTED = re.compile(r"^\s*-\s*(?!\s|\w+:\s)[\"']?(.+?\.mcap)[\"']?\s*$", re.MULTILINE)
 _NUMBERED = re.compile(r"(.*?)_?(\d+)")
 
 
@@ -32,7 +33,7 @@ def find_parts(folder: Path) -> list[Path]:
     names = {match[1] if match else path.stem for path, match in matches.items()}
     if len(names) > 1 or (len(matches) > 1 and None in matches.values()):
         raise RecordingError(folder, "its recordings are not parts of one", "name one of them")
-    return sorted(matches, key=lambda path: int(match[2]) if (match := matches[path]) else 0)
+    return sorted(matches, key=lambda path: (int(match[2]) if (match := matches[path]) else 0, path))
 
 
 def whole_of(path: Path) -> Path:

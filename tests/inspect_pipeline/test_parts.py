@@ -11,6 +11,7 @@ from rosbags.rosbag2 import Reader as BagReader
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.pack import PackResult, pack
+from inspect_pipeline.parts import find_parts
 from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
 
@@ -89,6 +90,21 @@ def test_a_rosbag2_is_joined_by_its_metadata(tmp_path: Path) -> None:
     (joined / "metadata.yaml").write_text((joined / "metadata.yaml").read_text().replace(second.name, first))
     with BagReader(joined) as reader:
         assert [time_ns for _, time_ns, _ in reader.messages()] == [f.log_time_ns for f in frames]
+
+
+def test_metadata_as_rosbag2_writes_it_since_version_5(tmp_path: Path) -> None:
+    """It names every part twice: in a list of names, and in one of what is in them."""
+    names = ("a b_0.mcap", "2026-05-04T09:30:00_1.mcap")
+    listed = "".join(f"    - {name}\n" for name in names)
+    described = "".join(f"    - path: {name}\n      message_count: 4\n" for name in names)
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n"
+        f"  relative_file_paths:\n{listed}  files:\n{described}"
+    )
+    parts = [tmp_path / name for name in names]
+    for path in parts:
+        path.touch()
+    assert find_parts(tmp_path) == parts
 
 
 def test_of_a_damaged_part_the_readable_prefix_is_joined(tmp_path: Path) -> None:

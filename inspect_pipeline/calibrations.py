@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
@@ -73,9 +74,9 @@ def _first(recording: Recording, channel: ChannelSummary) -> Intrinsics | None:
 def _intrinsics(
     width: int, height: int, model: str, d: Sequence[float], k: Sequence[float]
 ) -> Intrinsics | None:
-    """None for a camera that says it is not calibrated, by a focal length of 0."""
+    """None for a camera that is not calibrated: without a focal length, or without the size it is for."""
     fx, _, cx, _, fy, cy = k[:6]
-    if not fx:
+    if not all(math.isfinite(value) and value > 0 for value in (fx, fy, width, height)):
         return None
     # Calibrations count from the centre of the top-left pixel.
     return Intrinsics((height, width), (fx, fy), (cx + 0.5, cy + 0.5), model, tuple(d))

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_UNDISTORTED = frozenset(
-    {"plumb_bob", "rational_polynomial"}
-)  # whose coefficients OpenCV knows in this order
+# Models whose coefficients OpenCV knows in this order, and how many it takes.
+_UNDISTORTED, _N_COEFFICIENTS = frozenset({"plumb_bob", "rational_polynomial"}), frozenset({4, 5, 8, 12, 14})
 _UPRIGHT = 1e-6
 _FARTHEST_M, _MARCH_M = 1000.0, 2.0  # how far rays are followed over terrain, and by which steps
 _EARTH = pyproj.Geod(ellps="WGS84")
@@ -70,10 +69,12 @@ def moved_all(lat_deg: float, lon_deg: float, east_m: Floats, north_m: Floats) -
 def pixel_rays(lens: Intrinsics, turns: YawPitchRoll, pixels: ArrayLike) -> Floats:
     """(N, 3) unit vectors, east, north, up, of (N, 2) pixels of a camera that is turned so in the world.
 
-    Lens distortion is undone for "plumb_bob" and "rational_polynomial", and otherwise taken for none.
+    Lens distortion is undone for "plumb_bob" and "rational_polynomial" with as many coefficients as they may
+    have, and otherwise taken for none.
     """
     centred = (np.asarray(pixels, np.float64).reshape(-1, 2) - lens.centre_px) / lens.focal_px
-    if lens.distortion_model in _UNDISTORTED and any(lens.distortion):
+    is_known = lens.distortion_model in _UNDISTORTED and len(lens.distortion) in _N_COEFFICIENTS
+    if is_known and any(lens.distortion):
         flat = cv2.undistortPoints(centred[:, np.newaxis], np.eye(3), np.array(lens.distortion))
         centred = np.asarray(flat, np.float64).reshape(-1, 2)
     rays: Floats = np.column_stack((centred, np.ones(len(centred)))) @ camera_axes(turns)

@@ -46,9 +46,9 @@ def flat_calibration() -> bytes:
     return bytes(builder.Output())
 
 
-def protobuf(k: list[float] = K) -> bytes:
+def protobuf(k: list[float] = K, width: int = 1280) -> bytes:
     return CameraCalibration(
-        width=1280, height=720, distortion_model="plumb_bob", D=D, K=k
+        width=width, height=720, distortion_model="plumb_bob", D=D, K=k
     ).SerializeToString()
 
 
@@ -119,6 +119,16 @@ def test_each_camera_has_its_own(tmp_path: Path) -> None:
     assert up is None
 
 
-@pytest.mark.parametrize("message", [b"", b"\xff" * 9, protobuf([0.0] * 9)])
+@pytest.mark.parametrize(
+    "message",
+    [
+        b"",
+        b"\xff" * 9,
+        protobuf([0.0] * 9),
+        protobuf([900.0, *[0.0] * 8]),
+        protobuf([float("nan"), *K[1:]]),
+        protobuf(width=0),
+    ],
+)
 def test_a_camera_that_is_not_calibrated_has_none(tmp_path: Path, message: bytes) -> None:
     assert write(tmp_path / "a.mcap", [("/camera/info", FOXGLOVE, "protobuf", message)]) == [None]

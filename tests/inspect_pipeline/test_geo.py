@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -129,6 +130,13 @@ def test_the_table_of_errors_is_what_the_functions_say() -> None:
         shifted += [place(pitch_deg, yaw_deg=1), place(pitch_deg, height_m=51)]
         found = [np.linalg.norm(there - place(pitch_deg)) for there in shifted]
         assert found == pytest.approx(told, abs=0.0051)
+
+
+@pytest.mark.parametrize("n_coefficients", [1, 3, 6])
+def test_distortion_of_as_many_coefficients_as_no_model_has_is_none(n_coefficients: int) -> None:
+    lens = replace(LENS, distortion_model="plumb_bob", distortion=(0.1,) * n_coefficients)
+    turns = YawPitchRoll(10.0, -40.0, 0.0)
+    np.testing.assert_array_equal(geo.pixel_rays(lens, turns, (0, 0)), geo.pixel_rays(LENS, turns, (0, 0)))
 
 
 def test_lenses_of_a_view_and_of_smaller_pictures() -> None:

@@ -30,9 +30,11 @@ def measure_quality(image: NDArray[np.uint8]) -> ImageQuality:
 
 
 def _shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    scale = _MAX_SIDE_PX / max(image.shape)
+    height, width = image.shape[:2]
+    scale = _MAX_SIDE_PX / max(height, width)
     if scale >= 1:
         return image
-    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(
-        np.uint8, copy=False
-    )
+    # Of an image of a few rows, as line cameras have, one is left.
+    fx, fy = max(scale, 1 / width), max(scale, 1 / height)
+    small = cv2.resize(image, None, fx=fx, fy=fy, interpolation=cv2.INTER_AREA)
+    return small.astype(np.uint8, copy=False)

@@ -204,3 +204,8 @@ def test_quality_of_known_pictures() -> None:
     assert sharp.sharpness == pytest.approx((4 * 255) ** 2)
     grey = measure_quality(np.full((3000, 2000, 3), 90, np.uint8))
     assert (grey.sharpness, grey.mean_luma) == (0, 90)
+
+
+@pytest.mark.parametrize("size", [(1, 4096), (60_000, 2)])
+def test_quality_of_the_pictures_of_a_line_camera(size: tuple[int, int]) -> None:
+    assert measure_quality(np.full((*size, 3), 90, np.uint8)).mean_luma == 90

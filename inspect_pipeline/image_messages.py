@@ -116,7 +116,8 @@ def _json_raw(payload: memoryview) -> ImageMessage:
 
 
 def _json_head(fields: dict[str, Any]) -> tuple[int, str]:
-    return _json_time_ns(fields.get("timestamp", {})), str(fields.get("frame_id", ""))
+    frame_id = str(fields.get("frame_id", "")).encode(errors="replace").decode()  # \ud800 is no text
+    return _json_time_ns(fields.get("timestamp", {})), frame_id
 
 
 def _json_data(fields: dict[str, Any]) -> bytes:

@@ -133,15 +133,18 @@ def _claimed_pixels(view: memoryview) -> int:
 
 
 def _check_png(view: memoryview) -> None:
-    """Find the damage before OpenCV does, which would take the memory it claims, and talk to stderr."""
-    at = 8
-    while at < len(view):
+    """Find the damage before OpenCV does, which would take the memory it claims, and talk to stderr.
+
+    What stands behind the last chunk is not looked at: some recorders pad.
+    """
+    at, kind = 8, b""
+    while at < len(view) and kind != b"IEND":
         end = at + 8 + int.from_bytes(view[at : at + 4])
         if end + 4 > len(view):
             raise ImageError("the image is cut off")
         if zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4]):
             raise ImageError("the image does not match its CRC")
-        at = end + 4
+        at, kind = end + 4, view[at + 4 : at + 8]
 
 
 def _claimed_to_pillow(view: memoryview) -> int:

@@ -247,6 +247,15 @@ def test_a_png_chunk_that_claims_absurd_size_takes_no_memory() -> None:
         decode(message(bytes(data)))
 
 
+def test_padding_behind_a_png_is_no_damage() -> None:
+    assert number_of(decode(message(encoded_picture(7) + bytes(16), "png"))) == 7
+
+
+def test_a_frame_id_of_json_that_is_no_text_can_be_written() -> None:
+    payload = json.dumps({"frame_id": "a\ud800", "data": "", "format": "png"}).encode()
+    assert parse("foxglove.CompressedImage", "json", memoryview(payload)).frame_id == "a?"
+
+
 def test_a_damaged_png_is_found_quietly(capfd: pytest.CaptureFixture[str]) -> None:
     """libpng would tell stderr."""
     whole = encoded_picture(1)

@@ -27,7 +27,7 @@ _NAL_HEAD = re.compile(rb"\x00\x00\x01([\s\S])")  # the first byte behind a star
 _START_CODE = b"\0\0\0\1"
 _H264_SEQUENCE, _H264_KEY = 7, 5
 _H265_KEYS, _H265_CLOSED_KEYS = range(16, 24), range(16, 21)  # IRAP; of them BLA and IDR
-_AV1_SEQUENCE = 1
+_AV1_SEQUENCE, _MAX_AV1_SIZE_BYTES = 1, 8
 _MAX_DELAY = 17  # packets: H.264 and H.265 put no picture further out of order than 16
 _MAX_WAITING_BYTES = 64 << 20  # of messages that wait for one that is wanted
 
@@ -208,10 +208,9 @@ def _av1_units(data: bytes) -> set[int]:
         if not head & 2:
             break
         size = shift = 0
-        while at < len(data):
-            byte, at = data[at], at + 1
+        for byte in data[at : at + _MAX_AV1_SIZE_BYTES]:
             size |= (byte & 0x7F) << shift
-            shift += 7
+            at, shift = at + 1, shift + 7
             if byte < 0x80:
                 break
         at += size

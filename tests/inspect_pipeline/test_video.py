@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -191,6 +192,13 @@ def test_a_length_that_looks_like_a_start_code() -> None:
     assert to_annex_b(data) == b"\0\0\0\1" + unit
     short_codes = b"\0\0\1\x67" + unit
     assert to_annex_b(short_codes) == short_codes
+
+
+def test_an_av1_packet_of_erased_memory_is_looked_at_quickly() -> None:
+    """Every byte says that the size goes on; eight may."""
+    before_s = time.process_time()
+    assert key_of(b"\x12\x00" + b"\xff" * 100_000, "libdav1d") == "none"
+    assert time.process_time() - before_s < 1.0
 
 
 @pytest.mark.parametrize("options", [{}, {"profile": "baseline"}, {"profile": "high", "cqm": "jvt"}])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import tomllib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from inspect_pipeline.resources import read_schema
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
+
+_LEAST = {"coverage.bin_m": 0.01}  # of all other numbers 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,8 @@ class Rules:
 def load_rules(path: Path | None = None) -> Rules:
     """The shipped rules with the values of a file in their place, if it is there.
 
-    Raises RulesError for a file that cannot be read, an unknown name or a value of another type.
+    Raises RulesError for a file that cannot be read, an unknown name, or a value of another type or out of
+    range.
     """
     values = tomllib.loads(read_schema("rules.toml"))
     if path is not None:
@@ -57,7 +61,15 @@ def load_rules(path: Path | None = None) -> Rules:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise RulesError(path, f"is no TOML ({error})", "mend it") from error
         _replace(values, own, path, ())
+        _check_kinds(Rules(**values), path)
     return Rules(**values)
+
+
+def _check_kinds(rules: Rules, path: Path) -> None:
+    for kind in rules.check["fail_on"]:
+        if kind not in rules.kinds:
+            known = ", ".join(rules.kinds)
+            raise RulesError(path, f"check.fail_on has the unknown kind {kind!r}", f"known here: {known}")
 
 
 def _replace(values: dict[str, Any], own: Mapping[str, Any], path: Path, section: tuple[str, ...]) -> None:
@@ -70,6 +82,8 @@ def _replace(values: dict[str, Any], own: Mapping[str, Any], path: Path, section
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if isinstance(known, dict) and isinstance(value, dict):
             _replace(known, value, path, (*section, name))
+        elif is_number and not _LEAST.get(full, 0.0) <= value < math.inf:
+            raise RulesError(path, f"{full} is {value}", f"give one like {known!r}")
         elif type(known) is type(value) or (isinstance(known, int | float) and is_number):
             values[name] = value
         else:

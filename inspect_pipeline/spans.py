@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from dataclasses import asdict, dataclass, replace
-from itertools import groupby, pairwise
+from itertools import count, groupby, pairwise, repeat
 from typing import TYPE_CHECKING, Any
 
 from pyproj import Geod
@@ -38,6 +39,7 @@ _COLUMNS = {  # of tables of structures: the names that each may have, small let
     "kind": ("assettype", "asset type"),
 }
 _PLACES = ("from_lat_deg", "from_lon_deg", "to_lat_deg", "to_lon_deg")
+_TEXTS = frozenset({"span_id", "line_id", "from_structure", "to_structure"})
 _NO_STRUCTURES = ("span", "line", "conductor", "segment")  # assets of these types stand nowhere
 
 
@@ -78,7 +80,8 @@ def read_spans(path: Path, expected_conductors: int | None = None) -> list[Span]
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise SpansError(path, f"cannot be read ({error})", "check the name, and that it is text") from error
+        why = getattr(error, "strerror", None) or error
+        raise SpansError(path, f"cannot be read ({why})", "check the name, and that it is text") from error
     is_json = text.lstrip().startswith("{")
     spans = list(_of_geojson(path, text) if is_json else _of_table(path, text))
     if not spans:
@@ -99,7 +102,10 @@ def _of_table(path: Path, text: str) -> Iterator[Span]:
     """The spans between the structures of a CSV, which follow each other within a line."""
     head = text.partition("\n")[0]
     delimiter = max(";\t,", key=head.count)
-    rows = list(csv.DictReader(text.splitlines(), delimiter=delimiter))
+    try:
+        rows = list(csv.DictReader(text.splitlines(), delimiter=delimiter))
+    except csv.Error as error:
+        raise SpansError(path, f"is no CSV ({error})", "give structures or assets") from error
     head_names = {(name or "").strip().lower(): name for name in (rows[0] if rows else {})}
     columns = {
         what: next((head_names[n] for n in known if n in head_names), None)
@@ -107,12 +113,13 @@ def _of_table(path: Path, text: str) -> Iterator[Span]:
     }
     if columns["lat"] is None or columns["lon"] is None:
         raise SpansError(path, "has no columns latitude and longitude", "see docs/inspection.md for columns")
+    told = ({what: row.get(column) for what, column in columns.items() if column} for row in rows)
     structures = [
-        _structure(path, number, {what: row.get(column) for what, column in columns.items() if column})
-        for number, row in enumerate(rows, 2)
+        _structure(path, f"row {number}", one)
+        for number, one in enumerate(told, 2)
+        if (one.get("kind") or "").strip().lower() not in _NO_STRUCTURES
     ]
-    known = filter(None, structures)
-    by_line = sorted(known, key=lambda one: one.line_id or "")  # stable: the order within a line stays
+    by_line = sorted(structures, key=lambda one: one.line_id or "")  # stable: the order within a line stays
     for _, group in groupby(by_line, key=lambda structure: structure.line_id):
         for number, (first, second) in enumerate(pairwise(group), 1):
             numbered = f"{first.line_id or 'span'}/{number}"
@@ -120,32 +127,36 @@ def _of_table(path: Path, text: str) -> Iterator[Span]:
             yield _span(path, first, second, named)
 
 
-def _structure(path: Path, row_number: int, row: Mapping[str, str | None]) -> _Structure | None:
-    """The structure of a row; None for an asset that is none. Raises SpansError."""
-    if (row.get("kind") or "").strip().lower() in _NO_STRUCTURES:
-        return None
+def _structure(path: Path, where: str, told: Mapping[str, object]) -> _Structure:
+    """The structure of what is told under the names of `_COLUMNS`; raises SpansError."""
     try:
-        conductors = _number(row.get("conductors"))
-        lat_deg, lon_deg = _number(row.get("lat")), _number(row.get("lon"))
-        height_m = _number(row.get("height"))
+        lat_deg, lon_deg, height_m = (_number(told.get(name)) for name in ("lat", "lon", "height"))
+        conductors = _count(told.get("conductors"))
     except ValueError as error:
-        raise SpansError(path, f"row {row_number} has what is no number ({error})", "mend it") from error
+        raise SpansError(path, f"{where} has what is no number ({error})", "mend it") from error
     if lat_deg is None or lon_deg is None or abs(lat_deg) > 90 or abs(lon_deg) > 180:
-        raise SpansError(path, f"row {row_number} has no position", "give degrees")
-    return _Structure(
-        (row.get("structure") or "").strip() or None,
-        (row.get("line") or "").strip() or None,
-        lat_deg,
-        lon_deg,
-        height_m,
-        None if conductors is None else int(conductors),
-    )
+        raise SpansError(path, f"{where} has no position", "give latitude and longitude in degrees")
+    name, line_id = (str(told.get(what) or "").strip() or None for what in ("structure", "line"))
+    return _Structure(name, line_id, lat_deg, lon_deg, height_m, conductors)
 
 
-def _number(text: str | None) -> float | None:
-    """A number with a decimal point or comma; None for nothing. Raises ValueError."""
-    text = (text or "").strip()
-    return float(text.replace(",", ".")) if text else None
+def _number(value: object) -> float | None:
+    """A finite number, in a text with a decimal point or comma; None for nothing. Raises ValueError."""
+    text = "" if value is None else str(value).strip()
+    if not text:
+        return None
+    number = float(text.replace(",", "."))
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number
+
+
+def _count(value: object) -> int | None:
+    """A whole number; None for nothing and for 0. Raises ValueError."""
+    number = _number(value) or 0.0
+    if number < 0 or number != int(number):
+        raise ValueError(value)
+    return int(number) or None
 
 
 def _of_geojson(path: Path, text: str) -> Iterator[Span]:
@@ -160,23 +171,36 @@ def _of_geojson(path: Path, text: str) -> Iterator[Span]:
 
 
 def _of_feature(path: Path, number: int, feature: Mapping[str, Any]) -> Iterator[Span]:
-    geometry, told = feature["geometry"], feature.get("properties") or {}
-    lines = {"LineString": [geometry["coordinates"]], "MultiLineString": geometry["coordinates"]}
-    vertices = [vertex for line in lines.get(geometry["type"], []) for vertex in line]
-    line_id = told.get("line_id") or told.get("name") or feature.get("id") or str(number)
-    ends = [(told.get(f"{end}_structure"), told.get(f"{end}_height_m")) for end in ("from", "to")]
-    height_m, conductors = told.get("height_m"), told.get("expected_conductors")
-    structures = [
-        _Structure(None, str(line_id), vertex[1], vertex[0], height_m, conductors) for vertex in vertices
-    ]
-    if len(structures) == 2:
+    geometry, properties = feature["geometry"], feature.get("properties") or {}
+    line_id = properties.get("line_id") or properties.get("name") or feature.get("id") or str(number)
+    told = {
+        "line": line_id,
+        "height": properties.get("height_m"),
+        "conductors": properties.get("expected_conductors"),
+    }
+    where, numbers = f"feature {number}", count(1)
+    for vertices in _lines_of(geometry):
+        is_span = geometry["type"] == "LineString" and len(vertices) == 2
+        ends = [_of_end(end, properties) for end in ("from", "to")] if is_span else repeat({})
         structures = [
-            replace(one, name=name, height_m=own_m or one.height_m)
-            for one, (name, own_m) in zip(structures, ends, strict=True)
+            _structure(path, where, {**told, "lon": vertex[0], "lat": vertex[1], **end})
+            for vertex, end in zip(vertices, ends, strict=False)
         ]
-    for i, (first, second) in enumerate(pairwise(structures), 1):
-        own = told.get("span_id") if len(structures) == 2 else None
-        yield _span(path, first, second, str(own or f"{line_id}/{i}"))
+        for first, second in pairwise(structures):
+            own = properties.get("span_id") if is_span else None
+            yield _span(path, first, second, str(own or f"{line_id}/{next(numbers)}"))
+
+
+def _lines_of(geometry: Mapping[str, Any]) -> Sequence[Any]:
+    """The vertices of each line of a geometry, none of one without lines."""
+    coordinates: Sequence[Any] = geometry["coordinates"]
+    return {"LineString": [coordinates], "MultiLineString": coordinates}.get(geometry["type"], [])
+
+
+def _of_end(end: str, properties: Mapping[str, Any]) -> dict[str, object]:
+    """What a feature of one span says of its `end`, under the names of `_COLUMNS`."""
+    named = {"structure": f"{end}_structure", "height": f"{end}_height_m"}
+    return {what: properties[name] for what, name in named.items() if properties.get(name) is not None}
 
 
 def _span(path: Path, first: _Structure, second: _Structure, span_id: str) -> Span:
@@ -224,9 +248,17 @@ def load_spans(store: Store) -> list[Span]:
         return []
     try:
         features = json.loads(path.read_bytes())["features"]
-        return [Span(**{**feature["properties"], **_ends(feature)}) for feature in features]
+        return [_checked(Span(**{**feature["properties"], **_ends(feature)})) for feature in features]
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise SpansError(path, f"is damaged ({error})", "import the spans again") from error
+
+
+def _checked(span: Span) -> Span:
+    """The same span; raises TypeError for a number that is a text and the reverse."""
+    for name, value in asdict(span).items():
+        if value is not None and not isinstance(value, str if name in _TEXTS else int | float):
+            raise TypeError(f"{name} of span {span.span_id} is {value!r}")
+    return span
 
 
 def _ends(feature: Mapping[str, Any]) -> dict[str, float]:

@@ -103,6 +103,10 @@ def test_a_rule_that_is_switched_off_finds_nothing(tmp_path: Path) -> None:
         ("[frames]\ndark_below_luma = 'x'", "another type"),
         ("frames = 3", "another type"),
         ("[check]\nfail_on = 'x'", "another type"),
+        ("[check]\nfail_on = ['blured_frames']", "unknown kind 'blured_frames'; known here: conductor_count"),
+        ("[coverage]\nbin_m = 0", "coverage.bin_m is 0; give one like 1.0"),
+        ("[coverage]\nnear_m = nan", "coverage.near_m is nan"),
+        ("[anomalies.stale_pose]\nmax_age_ms = -1", "anomalies.stale_pose.max_age_ms is -1"),
         ("[", "is no TOML"),
     ],
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -71,6 +71,32 @@ def test_lines_of_a_geojson(tmp_path: Path) -> None:
     assert (spans[1].from_lat_deg, spans[1].from_lon_deg) == (52.001, 5.0)
 
 
+def feature(coordinates: list[Any], kind: str = "LineString", **properties: object) -> str:
+    geometry = {"type": kind, "coordinates": coordinates}
+    return json.dumps({"type": "Feature", "properties": properties, "geometry": geometry})
+
+
+def test_numbers_of_a_geojson_may_be_texts(tmp_path: Path) -> None:
+    text = feature([["5.0", "52.0"], [5.0, 52.001]], height_m="20,5", to_height_m=0, expected_conductors="3")
+    (span,) = read(tmp_path, text, "a.geojson")
+    assert (span.from_lat_deg, span.from_height_m, span.to_height_m, span.expected_conductors) == (
+        52,
+        20.5,
+        0,
+        3,
+    )
+
+
+def test_nothing_hangs_between_the_lines_of_one_feature(tmp_path: Path) -> None:
+    lines = [[[5.0, 52.0], [5.0, 52.001], [5.0, 52.002]], [[5.0, 52.003], [5.0, 52.004]]]
+    spans = read(tmp_path, feature(lines, "MultiLineString", name="N", span_id="x"), "a.geojson")
+    assert [(one.span_id, one.from_lat_deg) for one in spans] == [
+        ("N/1", 52),
+        ("N/2", 52.001),
+        ("N/3", 52.003),
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -83,6 +109,13 @@ def test_lines_of_a_geojson(tmp_path: Path) -> None:
         ("id,latitude,longitude\nT1,52,5\nT2,53,5\n", "in their order"),
         ("id,latitude,longitude\nT1,52,5\nT2,52,5\n", "0 m long"),
         ("id,latitude,longitude\nA,52,5\nB,52.001,5\nA,52.002,5\nB,52.003,5\n", "is there twice"),
+        ("id,lat,lon,height\nT1,52,5,nan\nT2,52.001,5,9\n", "row 2 has what is no number"),
+        ("id,lat,lon,conductors\nT1,52,5,3\nT2,52.001,5,inf\n", "row 3 has what is no number"),
+        ("id,lat,lon,conductors\nT1,52,5,3\nT2,52.001,5,2.7\n", "row 3 has what is no number"),
+        ("id,lat,lon,conductors\nT1,52,5,-3\nT2,52.001,5,\n", "row 2 has what is no number"),
+        ("id,lat,lon\nT1,52," + 150_000 * "9", "is no CSV"),
+        (feature([[5, 52], [5, 52.001]], height_m="20 m"), "feature 1 has what is no number"),
+        (feature([[500_000, 5_760_000], [500_100, 5_760_000]]), "feature 1 has no position"),
         ("{", "is no GeoJSON"),
         ('{"type": "FeatureCollection"}', "is no GeoJSON"),
         ('{"type": "FeatureCollection", "features": [{"geometry": null}]}', "is no GeoJSON"),
@@ -118,6 +151,7 @@ def test_what_the_store_keeps_is_read_as_it_is_by_others_and_by_us(tmp_path: Pat
     spans = read(tmp_path, TOWERS)
     import_spans(store, spans)
     assert read_spans(store.root / "spans.geojson") == spans
-    (store.root / "spans.geojson").write_text("{}")
-    with pytest.raises(SpansError, match="import the spans again"):
-        load_spans(store)
+    for damaged in ("{}", (store.root / "spans.geojson").read_text().replace("22.0", '"22 m"')):
+        (store.root / "spans.geojson").write_text(damaged)
+        with pytest.raises(SpansError, match="import the spans again"):
+            load_spans(store)

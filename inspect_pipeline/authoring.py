@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -14,6 +13,7 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline.protobuf import file_descriptor_set
+from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -45,7 +45,7 @@ def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
         # Without summary offsets: the package writes empty groups, which checkers take for errors.
         writer = Writer(file, compression=CompressionType.ZSTD, use_summary_offsets=False)
         try:
-            writer.start(profile=profile, library=f"lsnet-pipe {version('lsnet-pipe')}")
+            writer.start(profile=profile, library=f"lsnet-pipe {app_version()}")
             yield RecordingAuthor(writer)
             writer.finish()  # type: ignore[no-untyped-call]
         except BaseException:

@@ -8,10 +8,10 @@ import platform
 import uuid
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
 from inspect_pipeline.flight import RESULT_VERSION, ModelRecord, RunRecord
+from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -85,7 +85,7 @@ def start_described_run(
         run_id=str(uuid.uuid4()),
         started_at=datetime.now(UTC),
         host=platform.node(),
-        app_version=version("lsnet-pipe"),
+        app_version=app_version(),
         config_sha256=_sha256(config),
         config=config,
         command=command,

@@ -11,7 +11,6 @@ import shutil
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import duckdb
@@ -20,7 +19,7 @@ from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.files import fsync_path, store_errors
 from inspect_pipeline.index_inspection import input_digests, insert_records, inspect_flights, refresh
 from inspect_pipeline.index_rows import CONFIG, REBUILD, compare_rows, find_unreadable, replace_rows
-from inspect_pipeline.resources import MIGRATIONS, read_schema
+from inspect_pipeline.resources import MIGRATIONS, app_version, read_schema
 from inspect_pipeline.runs import load_runs, run_rows
 from inspect_pipeline.tables import count_migrations, create_tables
 
@@ -129,7 +128,7 @@ def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
     """Whether a readable index is of this version of the program, with all runs and what people told."""
     with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
-        if connection.execute(latest).fetchone() != (len(MIGRATIONS), version("lsnet-pipe")):
+        if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):
             return False
         if dict(connection.execute("SELECT name, sha256 FROM inputs").fetchall()) != input_digests(store):
             return False
@@ -209,7 +208,7 @@ def _replace_index(
             insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
             refresh(connection, store, [flight.record.flight_id for flight in changed])
             connection.execute(read_schema("views.sql"))
-            connection.execute("UPDATE schema_version SET app_version = ?", [version("lsnet-pipe")])
+            connection.execute("UPDATE schema_version SET app_version = ?", [app_version()])
             connection.execute("CHECKPOINT")
         fsync_path(following)
         # Not ours, but a log left by someone's own DuckDB would be replayed into the new file.

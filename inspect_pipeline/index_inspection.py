@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from inspect_pipeline.anomalies import Reviewed, find_anomalies, with_ids
 from inspect_pipeline.anomaly_spans import count_conductors
 from inspect_pipeline.coverage import measure_coverage
 from inspect_pipeline.observations import CameraRows, FrameRows, LineRows
-from inspect_pipeline.resources import MIGRATIONS
+from inspect_pipeline.resources import MIGRATIONS, app_version
 from inspect_pipeline.rules import load_rules
 from inspect_pipeline.spans import load_spans
 from inspect_pipeline.told import load_reviews, load_tags
@@ -75,7 +74,7 @@ def input_digests(store: Store) -> dict[str, str]:
 
     Raises RulesError.
     """
-    program = f"{version('lsnet-pipe')} {len(MIGRATIONS)}"
+    program = f"{app_version()} {len(MIGRATIONS)}"
     digests = {"program": _sha256(program.encode()), "rules": load_store_rules(store).sha256}
     for name in ("spans.geojson", "reviews.jsonl", "tags.jsonl"):
         path = store.root / name

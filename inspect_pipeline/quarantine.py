@@ -9,12 +9,12 @@ import hashlib
 import json
 import os
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.files import store_errors, write_whole
 from inspect_pipeline.inbox import Candidate
+from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,7 +84,7 @@ class Quarantine:
         return (
             note is not None
             and note.is_about(candidate)
-            and (note.app_version, note.config_sha256) == (version("lsnet-pipe"), config_sha256)
+            and (note.app_version, note.config_sha256) == (app_version(), config_sha256)
         )
 
     def add(self, note: QuarantineNote) -> None:

@@ -1,11 +1,19 @@
-"""The one reader of the files in schemas/, which are installed as `inspect_pipeline.schemas`."""
+"""The package's version, and the one reader of schemas/, which is installed as `inspect_pipeline.schemas`."""
 
 from __future__ import annotations
 
+from functools import cache
+from importlib.metadata import version
 from importlib.resources import files
 
 # Of the index, in order; a file that was released never changes.
 MIGRATIONS = ("0001_initial.sql", "0002_runs.sql", "0003_inspection.sql")
+
+
+@cache  # every look-up parses the metadata of the package
+def app_version() -> str:
+    """The version of lsnet-pipe."""
+    return version("lsnet-pipe")
 
 
 def read_schema(name: str) -> str:

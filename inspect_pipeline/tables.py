@@ -8,7 +8,7 @@ segments a flight has.
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from importlib.metadata import version
+from functools import cache
 from typing import TYPE_CHECKING, Any, Self
 
 import duckdb
@@ -26,7 +26,7 @@ from inspect_pipeline.columns import (
 from inspect_pipeline.errors import StoreError
 from inspect_pipeline.flight import FlightTotals
 from inspect_pipeline.placing import FramePlace
-from inspect_pipeline.resources import MIGRATIONS, read_schema
+from inspect_pipeline.resources import MIGRATIONS, app_version, read_schema
 from inspect_pipeline.tracks_flight import FlightTracker
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
         connection.execute(read_schema(name))
         connection.execute(
             "INSERT INTO schema_version VALUES (?, ?, ?)",
-            [number, datetime.now(UTC).replace(tzinfo=None), version("lsnet-pipe")],
+            [number, datetime.now(UTC).replace(tzinfo=None), app_version()],
         )
         connection.commit()
 
@@ -107,6 +107,15 @@ def count_migrations(connection: duckdb.DuckDBPyConnection) -> int:
     except duckdb.CatalogException:
         return 0
     return int(row[0]) if row and row[0] else 0
+
+
+@cache  # going through the migrations for each flight takes longer than all else about a short one
+def _row_tables() -> tuple[str, ...]:
+    """The statements that create the tables of rows as the migrations leave them."""
+    with duckdb.connect(":memory:", config=_CONFIG) as connection:
+        create_tables(connection)
+        statement = "SELECT sql FROM duckdb_tables() WHERE table_name IN (SELECT unnest(?))"
+        return tuple(sql for (sql,) in connection.execute(statement, [list(ROW_TABLES)]).fetchall())
 
 
 class FlightWriter:
@@ -127,7 +136,8 @@ class FlightWriter:
         self._connection = duckdb.connect(
             ":memory:", config=_CONFIG | {"temp_directory": str(folder / "spill")}
         )
-        create_tables(self._connection)
+        for statement in _row_tables():
+            self._connection.execute(statement)
 
     def __enter__(self) -> Self:
         return self

@@ -16,7 +16,6 @@ import zlib
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from importlib.metadata import version
 from threading import Event
 from typing import TYPE_CHECKING
 
@@ -26,6 +25,7 @@ from mcap.records import Channel, Header, Metadata, MetadataIndex, Schema
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording_extents import Damage, RecordingFile, read_extent
 from inspect_pipeline.recording_summary import MAGIC
+from inspect_pipeline.resources import app_version
 from inspect_pipeline.writeback_chunks import ChunkBuilder, encode_message_indexes, message_index
 from inspect_pipeline.writeback_summary import Contents, encode_end, encode_records
 
@@ -67,7 +67,7 @@ def sidecar(source: Recording, target: Path, profile: str = "") -> Iterator[Anno
     `profile` is that of its header, "ros2" when all its messages are.
     """
     _refuse_annotated(source)
-    header = Header(profile=profile, library=f"lsnet-pipe {version('lsnet-pipe')}")
+    header = Header(profile=profile, library=f"lsnet-pipe {app_version()}")
     start = MAGIC + encode_records([header])
     with _new_file(target) as file, unchanged(source):
         file.write(start)

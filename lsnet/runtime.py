@@ -11,6 +11,7 @@ import copy
 import io
 import logging
 import os
+import sys
 from contextlib import redirect_stdout
 from functools import lru_cache
 from importlib.util import find_spec
@@ -100,8 +101,7 @@ class OpenVinoBackend:
 
     def __init__(self, net: LSNet, precision: str = "f32", threads: int | None = None) -> None:
         """precision: f32, bf16 or int8. threads: one a core unless told. Raises LSNetError without NNCF."""
-        import openvino as ov  # noqa: PLC0415
-
+        ov = import_openvino()
         self.precision = precision
         self.threads = threads or len(os.sched_getaffinity(0))
         self._core = ov.Core()
@@ -123,8 +123,6 @@ class OpenVinoBackend:
         return results
 
     def _compile(self, height: int, width: int) -> Any:
-        from openvino import AsyncInferQueue  # noqa: PLC0415
-
         model = self._model.clone()
         model.reshape([1, height, width, 3])
         options = {
@@ -132,9 +130,21 @@ class OpenVinoBackend:
             "NUM_STREAMS": str(self.threads),
             "INFERENCE_NUM_THREADS": str(self.threads),
         }
-        queue = AsyncInferQueue(self._core.compile_model(model, "CPU", options), self.threads)
+        compiled = self._core.compile_model(model, "CPU", options)
+        queue = import_openvino().AsyncInferQueue(compiled, self.threads)
         queue.set_callback(_keep_result)
         return queue
+
+
+def import_openvino() -> Any:
+    """The module openvino without openvino_telemetry, which tells its makers of imports and conversions.
+
+    Raises ImportError.
+    """
+    sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type] # as if not installed
+    import openvino  # noqa: PLC0415
+
+    return openvino
 
 
 def quantised(model: Any) -> Any:
@@ -182,7 +192,6 @@ def open_backend(net: LSNet, runtime: str) -> Backend:
 
 def _precision_of(runtime: str) -> str:
     if runtime == "auto":
-        import openvino as ov  # noqa: PLC0415
-
-        return "bf16" if "BF16" in ov.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES") else "f32"
+        core = import_openvino().Core()
+        return "bf16" if "BF16" in core.get_property("CPU", "OPTIMIZATION_CAPABILITIES") else "f32"
     return runtime.partition("-")[2] or "f32"

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
+import pytest
 import torch
 
 from lsnet.model import LSNet, LSNetConfig
+from lsnet.runtime import import_openvino
 from lsnet.weights import WeightsCard, save_weights
 
 if TYPE_CHECKING:
@@ -46,3 +49,10 @@ def save_tiny(path: Path, seed: int = 0, **card: object) -> Path:
     values = {"name": "tiny", "preset": "fast", "network": TINY, "min_score": 0.5} | card
     save_weights(path, tiny_net(seed), WeightsCard(**values))
     return path
+
+
+def openvino_or_skip() -> Any:
+    """The module openvino, imported as the program does."""
+    if find_spec("openvino") is None:
+        pytest.skip("openvino is not installed")
+    return import_openvino()

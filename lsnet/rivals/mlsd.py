@@ -13,6 +13,7 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.rivals.lengths import by_length
+from lsnet.runtime import import_openvino
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +35,7 @@ class MLSD:
     def __init__(self, path: Path) -> None:
         """Raises LSNetError when the file cannot be read or OpenVINO is not installed."""
         try:
-            import openvino as ov  # noqa: PLC0415
+            ov = import_openvino()
         except ImportError as err:
             raise LSNetError("OpenVINO is not installed; pip install 'lsnet-pipe[openvino]'") from err
         try:

@@ -264,7 +264,7 @@ def test_an_older_index_is_migrated(store: Store, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_new_release_brings_its_views(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(index, "version", lambda _: "99.0")
+    monkeypatch.setattr(index, "app_version", lambda: "99.0")
     index.publish(store)
     assert ask(store, "SELECT DISTINCT app_version FROM schema_version") == [("99.0",)]
 

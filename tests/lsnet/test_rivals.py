@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from nets import openvino_or_skip
 
 from lsnet import LSNetError
 from lsnet.evaluate_all import open_finder
@@ -43,7 +44,7 @@ def test_mlsd_tells_segments_from_centres_and_steps_to_their_ends() -> None:
 
 
 def test_files_that_are_no_network_are_one_line(tmp_path: Path) -> None:
-    pytest.importorskip("openvino")
+    openvino_or_skip()
     (tmp_path / "a.tflite").write_bytes(b"no network")
     for name in ("a.tflite", "missing.tflite"):
         with pytest.raises(LSNetError, match=r"not a network OpenVINO can read; give M-LSD's") as error:
@@ -54,7 +55,7 @@ def test_files_that_are_no_network_are_one_line(tmp_path: Path) -> None:
 
 
 def test_mlsd_finds_the_edges_of_a_band(data_dir: Path) -> None:
-    pytest.importorskip("openvino")
+    openvino_or_skip()
     weights = data_dir.parent / "models/M-LSD_512_tiny_fp32.tflite"
     image = np.full((256, 300, 3), 60, np.uint8)
     cv2.rectangle(image, (20, 80), (279, 169), (200, 200, 200), -1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +15,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from nets import TINY, save_tiny, tiny_net
+from nets import TINY, openvino_or_skip, save_tiny, tiny_net
 
 from lsnet import Detector, LSNetError, load_weights, tiles
 from lsnet.model import PRESETS
@@ -52,7 +54,7 @@ def assert_close(found: Sequence[Maps], expected: Sequence[Maps], tolerance: flo
 
 @pytest.fixture(scope="module")
 def openvino_backend() -> Backend:
-    pytest.importorskip("openvino")
+    openvino_or_skip()
     return OpenVinoBackend(tiny_net())
 
 
@@ -86,7 +88,7 @@ def test_windows_of_a_larger_frame_are_taken_as_they_are(backend: Backend) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["fast", "paper"])
 def test_openvino_agrees_with_torch_on_whole_presets(preset: str) -> None:
-    pytest.importorskip("openvino")
+    openvino_or_skip()
     net, images = tiny_net(config=PRESETS[preset]), [photo(256, 320), photo(512, 512)]
     assert_close(OpenVinoBackend(net).run(images), [plain_torch(net, i) for i in images], tolerance=1e-3)
 
@@ -112,28 +114,34 @@ def test_a_quantised_network_says_nearly_the_same(capfd: pytest.CaptureFixture[s
 
 
 def test_nncf_that_is_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("openvino")
+    openvino_or_skip()
     monkeypatch.setattr("lsnet.runtime.find_spec", lambda name: None if name == "nncf" else True)
     with pytest.raises(LSNetError, match=r"NNCF is not installed; pip install 'lsnet-pipe\[int8\]'"):
         open_backend(tiny_net(), "openvino-int8")
 
 
 def test_runtimes_have_the_precision_in_their_name() -> None:
-    ov = pytest.importorskip("openvino")
+    ov = openvino_or_skip()
     has_bf16 = "BF16" in ov.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
-    for name, precision in (
-        ("openvino", "f32"),
-        ("openvino-bf16", "bf16"),
-        ("auto", ["f32", "bf16"][has_bf16]),
-    ):
-        backend = open_backend(tiny_net(), name)
-        assert (backend.name, backend.precision) == ("openvino", precision)
+    backends = {name: open_backend(tiny_net(), name) for name in ("openvino", "openvino-bf16", "auto")}
+    assert {name: (backend.name, backend.precision) for name, backend in backends.items()} == {
+        "openvino": ("openvino", "f32"),
+        "openvino-bf16": ("openvino", "bf16"),
+        "auto": ("openvino", "bf16" if has_bf16 else "f32"),
+    }
     image = photo(64, 64)
     assert_close(
-        open_backend(tiny_net(), "openvino-bf16").run([image]),
+        backends["openvino-bf16"].run([image]),
         [plain_torch(tiny_net(), image)],
         tolerance=0.1,  # of random weights, through many layers of 8 bits of mantissa
     )
+
+
+def test_openvino_tells_nobody_that_it_is_used(openvino_backend: Backend) -> None:
+    """What its own package of telemetry would do at each import and conversion, in a process each."""
+    assert sys.modules["openvino_telemetry"] is None
+    with pytest.raises(ImportError):
+        importlib.import_module("openvino_telemetry")
 
 
 def test_runtimes_by_name() -> None:

@@ -125,7 +125,15 @@ def verify(store: Store) -> tuple[str, ...]:
 
 
 def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
-    """Whether a readable index is of this version of the program, with all runs and what people told."""
+    """Whether an index is of this version of the program, with all runs and what people told."""
+    try:
+        return _is_up_to_date(store, flights)
+    except duckdb.Error:  # a table is missing, or damaged
+        return False
+
+
+def _is_up_to_date(store: Store, flights: list[StoredFlight]) -> bool:
+    """The same of one that can be read; raises duckdb.Error."""
     with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
         if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):

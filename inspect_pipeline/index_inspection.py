@@ -144,9 +144,11 @@ def insert_records(
         return
     described = connection.execute(f"DESCRIBE {table}").fetchall()
     shape = {name: kind for name, kind, *_ in described if name in rows[0]}
+    # Names of files and words from a command line may hold what is no text, and no database takes.
+    text = json.dumps(rows, ensure_ascii=False).encode(errors="replace").decode()
     connection.execute(
         f"{insert} BY NAME SELECT unnest(row) FROM (SELECT unnest(from_json(?, ?)) AS row)",
-        [json.dumps(rows), json.dumps([shape])],
+        [text, json.dumps([shape])],
     )
 
 

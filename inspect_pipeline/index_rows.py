@@ -114,8 +114,8 @@ def find_unreadable(flights: list[StoredFlight]) -> list[Path]:
         for flight in flights:
             try:
                 for table in ROW_TABLES:
-                    files = _row_files([flight], table)
-                    connection.execute(f"SELECT bit_xor(hash(row)) FROM {_PARQUET} AS row", [files])
+                    if files := _row_files([flight], table):
+                        connection.execute(f"SELECT bit_xor(hash(row)) FROM {_PARQUET} AS row", [files])
             except duckdb.Error:
                 folders.append(flight.folder)
     return folders

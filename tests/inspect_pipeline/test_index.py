@@ -15,6 +15,7 @@ from inspect_pipeline import index, tables
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store import Store
+from inspect_pipeline.told import add_tag
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -128,12 +129,16 @@ def test_rebuild_gives_the_same_answers(store: Store) -> None:
     assert content(store) == before
 
 
-@pytest.mark.parametrize("damage", ["deleted", "garbage", "no tables", "flipped", "cut"])
+@pytest.mark.parametrize("damage", ["deleted", "garbage", "no tables", "a table lost", "flipped", "cut"])
 def test_a_lost_index_is_made_anew_at_the_next_publish(store: Store, damage: str) -> None:
     before = content(store)
     path = store.index_path
     whole = path.read_bytes()
-    path.unlink()
+    if damage == "a table lost":
+        with duckdb.connect(path) as connection:
+            connection.execute("DROP TABLE inputs")
+    else:
+        path.unlink()
     if damage == "garbage":
         path.write_bytes(b"not a database" * 1000)
     elif damage == "no tables":
@@ -209,6 +214,23 @@ def test_a_flight_with_flipped_bits_is_left_out(store: Store) -> None:
     change = index.rebuild(store)
     assert change.damaged == (folder,)
     assert ask(store, "SELECT count(*) FROM flights") == [(1,)]
+
+
+def test_an_old_flight_without_tracks_is_not_taken_for_a_damaged_one(store: Store) -> None:
+    """When another one is: the reason is looked for in the files that each flight has."""
+    damaged, old = (store.flight_dir(flights.flight_id_of(name)) for name in "ab")
+    (damaged / "segments.parquet").write_bytes(b"\xff" * (damaged / "segments.parquet").stat().st_size)
+    (old / "tracks.parquet").unlink()
+    result = json.loads((old / "result.json").read_text())
+    del result["files"]["tracks.parquet"]
+    (old / "result.json").write_text(json.dumps(result))
+    assert index.rebuild(store).damaged == (damaged,)
+
+
+def test_names_that_are_no_text_are_published(store: Store) -> None:
+    add_tag(store, flights.flight_id_of("a"), "pilot", os.fsdecode(b"J\xf6rg"))
+    index.publish(store)
+    assert ask(store, "SELECT value FROM flight_tags") == [("J?rg",)]
 
 
 def test_readers_keep_what_they_opened(store: Store) -> None:

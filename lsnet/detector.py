@@ -137,7 +137,8 @@ class Detector:
         scaled_size = self._scaled_size(image)
         raw = self._coder.decode(*maps, (prepared.shape[0], prepared.shape[1]), self._least_score)
         clipped = _clipped(raw, scaled_size)
-        all_lines, owners = merge_with_owners(clipped, self._merge_config)
+        enlarged = max(self.scale_of(image), 1.0)
+        all_lines, owners = merge_with_owners(clipped, self._merge_config, enlarged)
         lines, segments = all_lines.above(self.min_score), clipped.above(self.min_score)
         owners[owners >= len(lines)] = -1  # lines come strongest first, so the weak ones are the last
         line_of = owners[clipped.scores >= self.min_score]

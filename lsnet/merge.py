@@ -1,8 +1,8 @@
 """From cells to lines: the overlapping segments of the four grids chained into polylines.
 
 Two segments belong together when they run alike, lie on each other's line and touch or nearly touch. Linked
-segments form a chain; its polyline is the score-weighted mean of the segments along it, its score says how
-sure they are, how long the chain is, and how many cells agree.
+segments form a chain; its polyline is the score-weighted mean of the segments along it. Its odds of being a
+line are those of its segments times its length: every cell along it is one more witness.
 
 All chains of an image are worked on at once: a quantity per segment or per point of a polyline is one array,
 with the number of its chain beside it.
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
 MIN_OFFSET_PX = 0.7  # linking with less tolerance than this would cut lines at random
 TIGHTER = 0.6  # of the tolerance, when a chain is taken apart
-SURE_LENGTHS_PX = (30.0, 250.0)  # least and greatest length that counts as sure, whatever the image
+EVEN_LENGTHS_PX = (240.0, 1000.0)  # bounds of the length that leaves the odds as they are, whatever the image
+LEAST_DOUBT = 0.02  # of the segments of a line, so that none is beyond it
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,24 +47,31 @@ class MergeConfig:
     max_bridge_px: float = 60.0  # along the line, between chains that go on in each other's direction
     max_spread_px: float = 1.5  # of a chain's segments about its polyline; a wider chain is taken apart
     min_length_px: float = 40.0  # a shorter chain is no line
-    sure_length: float = 0.5  # of the image's shorter side, at which a line has earned 63 % for its length
-    sure_support: float = 2.0  # cells that tell each stretch of a line, of four, that are enough
+    even_length: float = (
+        1.35  # of the image's shorter side: the length at which a line is as sure as its segments
+    )
+    witnesses: float = 2.0  # cells that tell each stretch of a line, of four, for all of its length to count
     step_px: float = 16.0  # between the points of a polyline, before it is simplified
     flatness_px: float = 0.4  # how far simplifying may move it
 
 
-def merge(segments: Segments, config: MergeConfig | None = None) -> Lines:
+def merge(segments: Segments, config: MergeConfig | None = None, enlarged: float = 1.0) -> Lines:
     """Lines of one image, strongest first."""
-    return merge_with_owners(segments, config)[0]
+    return merge_with_owners(segments, config, enlarged)[0]
 
 
 def merge_with_owners(
-    segments: Segments, config: MergeConfig | None = None
+    segments: Segments, config: MergeConfig | None = None, enlarged: float = 1.0
 ) -> tuple[Lines, NDArray[np.int32]]:
-    """Lines of one image, strongest first, and (N,) the line each segment belongs to, -1 for none."""
+    """Lines of one image, strongest first, and (N,) the line each segment belongs to, -1 for none.
+
+    enlarged: how many times the network's image is larger than what was photographed. The more there is to
+    see, the more chances has a false line, so a line must be longer; what is enlarged shows no more.
+    """
     config = config or MergeConfig()
     sure = np.flatnonzero(segments.scores >= config.min_segment_score)
-    found = _lines_of(segments.endpoints[sure], segments.scores[sure], segments.image_size, config)
+    even_px = float(np.clip(config.even_length * min(segments.image_size) / enlarged, *EVEN_LENGTHS_PX))
+    found = _lines_of(segments.endpoints[sure], segments.scores[sure], even_px, config)
     found.sort(key=lambda line: -line[1])
     owners = np.full(len(segments), -1, np.int32)
     for k, (_, _, members) in enumerate(found):
@@ -75,10 +83,10 @@ def merge_with_owners(
 def _lines_of(
     endpoints: NDArray[np.float32],
     scores: NDArray[np.float32],
-    image_size: tuple[int, int],
+    even_px: float,
     config: MergeConfig,
 ) -> list[Found]:
-    """Points, score and members of each line.
+    """Points, score and members of each line; `even_px` is the length that leaves the odds as they are.
 
     Cables a few pixels apart can end up in one chain; its segments then lie to both sides of its
     polyline, and they are linked again with less tolerance.
@@ -106,7 +114,7 @@ def _lines_of(
         return []
     chains = _Chains.joined(parts, bridged(polylines, config.max_bridge_px))
     fit = _fit(ends[chains.members], scores[chains.members].astype(float), chains, config)
-    line_scores = fit.scores(image_size, config)
+    line_scores = fit.scores(even_px, config)
     return [
         (_simplified(fit.polyline(k), config), float(line_scores[k]), chains.members_of(k))
         for k in range(len(line_scores))
@@ -187,26 +195,27 @@ class _Chains:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
     """Polylines of C chains: points (P, 2), of chain k from first[k] to first[k + 1], and per chain (C,)
-    its extent, the spread of its segments about it, the upper quartile of their scores, and how many cells
-    tell a stretch.
+    its extent, the spread of its segments about it, the mean of their scores, and how many cells tell a
+    stretch.
     """
 
     points: Float
     first: Int
     extent_px: Float
     spread_px: Float
-    upper_score: Float
+    mean_score: Float
     support: Float
 
     def polyline(self, k: int) -> Float:
         """(K, 2) points of chain k."""
         return self.points[self.first[k] : self.first[k + 1]]
 
-    def scores(self, image_size: tuple[int, int], config: MergeConfig) -> Float:
-        """(C,) score of each line."""
-        sure_px = np.clip(config.sure_length * min(image_size), *SURE_LENGTHS_PX)
-        earned = 1 - np.exp(-self.extent_px / sure_px)
-        out: Float = self.upper_score * earned * np.minimum(self.support / config.sure_support, 1)
+    def scores(self, even_px: float, config: MergeConfig) -> Float:
+        """(C,) score of each line, from its odds."""
+        sure = np.clip(self.mean_score, LEAST_DOUBT, 1 - LEAST_DOUBT)
+        told_px = self.extent_px * np.minimum(self.support / config.witnesses, 1)
+        odds = sure / (1 - sure) * told_px / even_px
+        out: Float = odds / (1 + odds)
         return out
 
 
@@ -238,17 +247,9 @@ def _fit(ends: Float, scores: Float, chains: _Chains, config: MergeConfig) -> _F
     distance = offsets[here] * (1 - share) + offsets[here + 1] * share - v.mean(axis=1)
     spread = np.sqrt(chains.sum(scores * distance**2) / chains.sum(scores))
     lengths = length(ends).astype(float)
-    return _Fit(points, first, extent, spread, _upper_quartiles(scores, chains), chains.sum(lengths) / extent)
-
-
-def _upper_quartiles(scores: Float, chains: _Chains) -> Float:
-    """(C,) upper quartile of the scores of each chain: what crosses or hides a line lowers a mean."""
-    ordered = scores[np.lexsort((scores, chains.number))]
-    place = chains.first[:-1] + 0.75 * (np.diff(chains.first) - 1)
-    before = place.astype(np.intp)
-    after = np.minimum(before + 1, chains.first[1:] - 1)
-    out: Float = ordered[before] + (place - before) * (ordered[after] - ordered[before])
-    return out
+    told = chains.sum(lengths)
+    mean_score = chains.sum(scores * lengths) / np.maximum(told, 1e-9)
+    return _Fit(points, first, extent, spread, mean_score, told / np.maximum(extent, 1e-9))
 
 
 def _main_axes(ends: Float, scores: Float, chains: _Chains) -> tuple[Float, Float]:

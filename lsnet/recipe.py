@@ -6,14 +6,14 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from lsnet.checkpoints import load_checkpoint
 from lsnet.errors import LSNetError
 from lsnet.labelled import LabelledScenes, load_labels
-from lsnet.model import PRESETS, LSNet
+from lsnet.model import LSNet, LSNetConfig
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
 from lsnet.synth.rendered import RenderedScenes
 from lsnet.tiles import STRIDE_PX
-from lsnet.train import load_checkpoint
 from lsnet.weights import WeightsCard, save_weights
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def export_run(run: Path, output: Path, name: str, min_score: float, metrics: Pa
         measured = [json.loads(line) for line in metrics.read_text().splitlines()] if metrics else []
     except (OSError, ValueError) as err:
         raise LSNetError(f"{metrics}: not the output of lsnet-pipe model eval --json") from err
-    config = PRESETS[recipe["preset"]]
+    config = LSNetConfig(**recipe.pop("network"))
     net = LSNet(config)
     net.load_state_dict(best["average"])
     card = WeightsCard(

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset
 
+from lsnet.checkpoints import load_checkpoint, save_checkpoint
 from lsnet.errors import LSNetError
 from lsnet.grid import GridCoder
 from lsnet.losses import Losses, MultiTaskLoss
 from lsnet.model import PRESETS, LSNet, LSNetConfig
+from lsnet.slim import slim
 from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
@@ -135,8 +135,9 @@ class Trainer:
     ) -> None:
         """Start a run or go on with it.
 
-        start: weights to begin with, the `best.pt` of another run or what `load_weights` takes. network,
-        loss: another one than the preset's and the usual one, to compare them.
+        start: weights to begin with, the `best.pt` of another run or what `load_weights` takes; a narrower
+        network takes the channels of those that matter most. network, loss: another one than the preset's
+        and the usual one, to compare them.
         Raises LSNetError when the folder holds a run of another recipe, or the network does not fit.
         """
         torch.manual_seed(seed)
@@ -241,14 +242,16 @@ class Trainer:
     def _keep(self, loss: float) -> None:
         if loss < self.best_loss:
             self.best_loss, self.bad_validations = loss, 0
-            _save({"average": self.average.state_dict(), "step": self.step}, self.run_dir / "best.pt")
+            save_checkpoint(
+                {"average": self.average.state_dict(), "step": self.step}, self.run_dir / "best.pt"
+            )
         else:
             self.bad_validations += 1
-        _save(self._state(), self.run_dir / "last.pt")
+        save_checkpoint(self._state(), self.run_dir / "last.pt")
 
     def _state(self) -> dict[str, Any]:
         return {
-            "recipe": asdict(self.config),
+            "recipe": self._recipe(),
             "net": self.net.state_dict(),
             "average": self.average.state_dict(),
             "optimizer": self.optimizer.state_dict(),
@@ -257,19 +260,24 @@ class Trainer:
             "bad_validations": self.bad_validations,
         }
 
+    def _recipe(self) -> dict[str, Any]:
+        return asdict(self.config) | {"network": asdict(self.net.config)}
+
     def _begin_with(self, start: str | Path) -> None:
-        is_checkpoint = Path(start).suffix == ".pt"
-        state = load_checkpoint(Path(start)) if is_checkpoint else load_weights(start).net.state_dict()
         try:
-            self.net.load_state_dict(state["average"] if is_checkpoint else state)
-        except (KeyError, RuntimeError) as err:
+            if Path(start).suffix == ".pt":
+                state = load_checkpoint(Path(start))["average"]
+            else:
+                state = slim(load_weights(start).net, self.net.config).state_dict()
+            self.net.load_state_dict(state)
+        except (KeyError, RuntimeError, ValueError) as err:
             raise LSNetError(
-                f"{start}: not weights of a {self.config.preset} network; give some of that preset"
+                f"{start}: not weights of a {self.config.preset} network or a wider one; give some of those"
             ) from err
 
     def _restore(self) -> None:
         state = load_checkpoint(self.run_dir / "last.pt")
-        ours = asdict(self.config)
+        ours = self._recipe()
         changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
         if changed:
             raise LSNetError(
@@ -284,19 +292,3 @@ class Trainer:
     def _log(self, progress: Progress) -> None:
         with (self.run_dir / "log.jsonl").open("a") as log:
             log.write(json.dumps(asdict(progress)) + "\n")
-
-
-def load_checkpoint(path: Path) -> dict[str, Any]:
-    """What `last.pt` or `best.pt` holds. Raises LSNetError when it is missing or damaged."""
-    try:
-        state: dict[str, Any] = torch.load(path, weights_only=True)
-    except (OSError, EOFError, RuntimeError, UnpicklingError) as err:
-        raise LSNetError(f"{path}: missing or damaged; give the checkpoint of a run") from err
-    return state
-
-
-def _save(state: dict[str, Any], path: Path) -> None:
-    """Written beside and renamed, so that a kill leaves the old checkpoint or the new one."""
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    os.replace(partial, path)  # noqa: PTH105

@@ -14,7 +14,7 @@ from nets import TINY, save_tiny
 from typer.testing import CliRunner
 
 import cli
-from lsnet import LSNetError, compare, load_weights, model, train
+from lsnet import LSNetError, checkpoints, compare, load_weights, model, train
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -175,7 +175,7 @@ def test_synth_and_train_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     words = ("--run", "run", "--rendered", "renders", "--preset", "tiny", "--crop", 64, "--workers", 0)
     trained = run("train", *words, "--steps", 1, "--batch-size", 2, "--validate-every", 1)
     assert (trained.exit_code, trained.stderr) == (0, "")
-    recipe = train.load_checkpoint(tmp_path / "run/last.pt")["recipe"]
+    recipe = checkpoints.load_checkpoint(tmp_path / "run/last.pt")["recipe"]
     assert recipe["data"] == "renders over plain grounds, 64 px, seed 0"
 
 

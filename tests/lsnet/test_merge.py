@@ -158,33 +158,42 @@ def test_a_turned_image_has_turned_lines(bend: float) -> None:
         np.testing.assert_allclose(ends, ours[[0, -1]], atol=0.1)
 
 
-def test_what_crosses_a_small_image_scores_as_what_crosses_a_large_one() -> None:
-    def crossing(side: int) -> float:
-        coder, y = GridCoder(), side * 0.4
-        targets = coder.encode([np.array([(0, y), (side, y)])], (side, side))
-        segments = coder.decode(
-            np.where(targets.labels == POSITIVE, 0.9, 0.0), targets.endpoints, (side, side), min_score=0.5
-        )
-        return float(merge(segments).scores[0])
-
-    assert crossing(128) == pytest.approx(crossing(448), abs=0.03)
+def odds(score: float) -> float:
+    return score / (1 - score)
 
 
-def test_what_only_every_fourth_cell_tells_scores_half() -> None:
+def test_the_odds_of_a_line_are_those_of_its_segments_times_its_length() -> None:
+    """1.35 times the shorter side, 256 px, leaves the odds as they are."""
+    lines = merge(cells_of([(0, 60), (384, 60)]))
+    assert odds(lines.scores[0]) == pytest.approx(odds(0.9) * 384 / (1.35 * 256), rel=0.01)
+    short = merge(cells_of([(0, 60), (96, 60)]))
+    assert odds(short.scores[0]) == pytest.approx(odds(lines.scores[0]) / 4, rel=0.1)
+
+
+def test_an_enlarged_image_asks_for_shorter_lines_down_to_a_bound() -> None:
+    segments = cells_of([(0, 60), (384, 60)])
+    for enlarged, even_px in ((1.25, 1.35 * 256 / 1.25), (4.0, 240.0)):
+        (score,) = merge(segments, enlarged=enlarged).scores
+        assert odds(score) == pytest.approx(odds(0.9) * 384 / even_px, rel=0.01)
+
+
+def test_what_only_every_fourth_cell_tells_has_half_the_odds() -> None:
     segments = cells_of([(0, 90), (384, 90)])
     order = np.argsort(segments.endpoints[:, [0, 2]].mean(axis=1), kind="stable")[::4]
     sparse = Segments(segments.endpoints[order], segments.scores[order], SIZE)
-    assert merge(sparse).scores[0] == pytest.approx(merge(segments).scores[0] / 2, rel=0.15)
+    assert odds(merge(sparse).scores[0]) == pytest.approx(odds(merge(segments).scores[0]) / 2, rel=0.15)
 
 
-def test_the_upper_quartile_of_the_scores_counts() -> None:
-    """Of two lines at once, each by its own: a few unsure cells, as where something crosses, cost nothing."""
+def test_the_mean_of_the_scores_counts() -> None:
+    """Of two lines at once, each by its own, whatever the lengths of the cells' segments."""
     dice = np.random.default_rng(3)
-    one, other = cells_of([(0, 60), (384, 60)]), cells_of([(0, 250), (384, 250)])
+    one, other = cells_of([(0, 60), (384, 60)]), cells_of([(0, 200), (384, 260)])
     drawn = [dice.uniform(0.4, 0.95, len(part)).astype(np.float32) for part in (one, other)]
     both = Segments(np.concatenate([one.endpoints, other.endpoints]), np.concatenate(drawn), SIZE)
-    earned = [merge(part).scores[0] / 0.9 for part in (one, other)]
     lines = merge(both)
-    found = {round(float(p[:, 1].mean())): score for p, score in zip(lines.points, lines.scores, strict=True)}
-    for y, scores, share in zip((60, 250), drawn, earned, strict=True):
-        assert found[y] == pytest.approx(np.quantile(scores, 0.75) * share, rel=0.01)
+    order = np.argsort([p[:, 1].mean() for p in lines.points])
+    for line_score, part, scores in zip(lines.scores[order], (one, other), drawn, strict=True):
+        mean = np.average(scores, weights=np.hypot(*(part.endpoints[:, 2:] - part.endpoints[:, :2]).T))
+        assert odds(line_score) == pytest.approx(
+            odds(mean) * odds(merge(part).scores[0]) / odds(0.9), rel=0.02
+        )

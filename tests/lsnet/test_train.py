@@ -151,9 +151,19 @@ def test_the_average_is_kept_and_not_the_last_weights(tmp_path: Path) -> None:
 )
 def test_another_recipe_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     Trainer(QUICK, tmp_path).run(Strokes(), Strokes(), quiet)
-    with pytest.raises(LSNetError, match=f"other {next(iter(change))}; give another --run folder"):
+    with pytest.raises(LSNetError, match=f"other {next(iter(change))}.*; give another --run folder"):
         Trainer(replace(QUICK, **change), tmp_path)
     Trainer(replace(QUICK, threads=2), tmp_path)  # how it is computed may change
+
+
+def test_a_run_outlives_a_change_of_its_preset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It can be exported, and is not gone on with by mistake."""
+    Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)
+    monkeypatch.setitem(model.PRESETS, QUICK.preset, replace(TINY, head_channels=16))
+    export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
+    assert load_weights(tmp_path / "x.safetensors").card.network == TINY
+    with pytest.raises(LSNetError, match="other network; give another --run folder"):
+        Trainer(QUICK, tmp_path / "run")
 
 
 def test_a_run_begins_with_the_weights_of_another(tmp_path: Path) -> None:

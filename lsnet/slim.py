@@ -1,0 +1,106 @@
+"""A narrower network out of a trained one: the channels that matter least are left out.
+
+Training from there takes a fraction of the steps that first weights need. The measure is of the weights
+alone, after Li et al., "Pruning Filters for Efficient ConvNets": how strongly a channel is driven (the
+scale of its normalisation) times how strongly it is listened to (the weights that read it).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from lsnet.model import ConvNormAct, LSNet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from lsnet.model import LSNetConfig
+
+
+def slim(wide: LSNet, config: LSNetConfig) -> LSNet:
+    """A network of `config` with the channels of `wide` that matter most.
+
+    What a stage adds up shares its channels, so they are chosen once for a stage. Raises ValueError when the
+    two differ in more than their widths, when `config` is the wider one, or without batch normalisation and
+    residual blocks.
+    """
+    if wide.config == config:
+        return wide
+    _check(wide.config, config)
+    narrow = LSNet(config)
+    wide_trunks, narrow_trunks = _trunks(wide), _trunks(narrow)
+    heads: list[tuple[Any, Any]] = [(wide.classifier, narrow.classifier), (wide.regressor, narrow.regressor)]
+    kept_in = torch.arange(3)
+    for i, (trunk, slimmed) in enumerate(zip(wide_trunks, narrow_trunks, strict=True)):
+        readers = [trunk_of[0] for trunk_of in wide_trunks[i + 1 : i + 2]] or [head[0] for head, _ in heads]
+        kept_in = _slim_trunk(trunk, slimmed, kept_in, readers)
+    for head, slimmed_head in heads:
+        _slim_head(head, slimmed_head, kept_in)
+    return narrow
+
+
+def _check(wide: LSNetConfig, config: LSNetConfig) -> None:
+    widths = [(c.stem_channels or 0, *c.stage_channels, c.head_channels) for c in (wide, config)]
+    same = replace(
+        wide,
+        stem_channels=config.stem_channels,
+        stage_channels=config.stage_channels,
+        head_channels=config.head_channels,
+    )
+    is_narrower = len(widths[0]) == len(widths[1]) and all(n <= w for w, n in zip(*widths, strict=True))
+    if same != config or not is_narrower or not wide.residual or wide.norm != "batch":
+        raise ValueError("two networks that differ in more than their widths, or the wider one asked for")
+
+
+def _trunks(net: LSNet) -> list[list[Any]]:
+    """The layers by the sum they work on: a convolution and the residual blocks that add to its output."""
+    trunks: list[list[Any]] = []
+    for layer in net.extractor:
+        if isinstance(layer, ConvNormAct):
+            trunks.append([])
+        trunks[-1].append(layer)
+    return trunks
+
+
+def _slim_trunk(wide: Sequence[Any], narrow: Sequence[Any], kept_in: Tensor, readers: list[Any]) -> Tensor:
+    """Copy what stays of a trunk, and tell which of its channels do."""
+    blocks: list[Any] = list(wide[1:])
+    width = narrow[0][0].out_channels
+    kept = _strongest(
+        [wide[0], *(block.body[1] for block in blocks)], [*(b.body[0] for b in blocks), *readers], width
+    )
+    _copy(wide[0], narrow[0], kept, kept_in)
+    for block, slimmed in zip(blocks, narrow[1:], strict=True):
+        inner = _strongest([block.body[0]], [block.body[1]], width)
+        _copy(block.body[0], slimmed.body[0], inner, kept)
+        _copy(block.body[1], slimmed.body[1], kept, inner)
+    return kept
+
+
+def _slim_head(wide: Any, narrow: Any, kept_in: Tensor) -> None:
+    kept = _strongest([wide[0]], [wide[1]], narrow[1].in_channels)
+    _copy(wide[0], narrow[0], kept, kept_in)
+    with torch.no_grad():
+        narrow[1].weight.copy_(wide[1].weight[:, kept])
+        narrow[1].bias.copy_(wide[1].bias)
+
+
+def _strongest(drivers: Iterable[Any], readers: Iterable[Any], count: int) -> Tensor:
+    """The `count` channels with the greatest strength, in their order."""
+    driven = torch.stack([layer[1].weight.square() for layer in drivers]).sum(0)
+    convolutions = [layer if isinstance(layer, nn.Conv2d) else layer[0] for layer in readers]
+    read = torch.stack([conv.weight.square().sum((0, 2, 3)) for conv in convolutions]).sum(0)
+    return (driven * read).topk(count).indices.sort().values
+
+
+def _copy(wide: Any, narrow: Any, out: Tensor, into: Tensor) -> None:
+    """The channels `out` of a convolution and its normalisation, as far as they read the channels `into`."""
+    with torch.no_grad():
+        narrow[0].weight.copy_(wide[0].weight[out][:, into])
+        values = wide[1].state_dict()
+        for name, kept in narrow[1].state_dict().items():
+            kept.copy_(values[name][out] if values[name].ndim else values[name])

@@ -9,7 +9,7 @@ from nets import openvino_or_skip
 
 from lsnet import LSNetError
 from lsnet.evaluate_all import open_finder
-from lsnet.rivals.lengths import score_of_length
+from lsnet.rivals.lengths import SCORE_LENGTH_PX
 from lsnet.rivals.lsd import LSD
 from lsnet.rivals.mlsd import MLSD, decode
 
@@ -18,10 +18,10 @@ def test_lsd_finds_the_edges_of_a_band() -> None:
     image = np.full((120, 160, 3), 60, np.uint8)
     cv2.rectangle(image, (20, 50), (139, 69), (200, 200, 200), -1)
     (found,) = LSD().detect([image])
-    long = found.segments.above(0.75)  # from 75 px on
+    long = found.segments.above(1 - np.exp(-100 / SCORE_LENGTH_PX))
     assert sorted(np.round(long.endpoints[:, [1, 3]].mean(1)).tolist()) == [50.0, 70.0]
     lengths = np.hypot(*(long.endpoints[:, 2:] - long.endpoints[:, :2]).T)
-    np.testing.assert_allclose(long.scores, np.log(lengths / 4) / np.log(200 / 4), atol=1e-5)
+    np.testing.assert_allclose(long.scores, 1 - np.exp(-lengths / 100), atol=1e-5)
     np.testing.assert_array_equal(found.lines.pieces().endpoints, found.segments.endpoints)
 
 
@@ -39,14 +39,8 @@ def test_mlsd_tells_segments_from_centres_and_steps_to_their_ends() -> None:
     found = decode(centres, np.array([0.5, 0.9, 0.05], np.float32), steps, (128, 384))
     # An image of 384 x 128 has 3 px a place across and 2 px down; a place is meant at its middle.
     np.testing.assert_allclose(found.segments.endpoints, [[90, 41, 210, 101]])
-    np.testing.assert_allclose(
-        found.segments.scores, np.log(np.hypot(30, 15)) / np.log(np.hypot(32, 96)), rtol=1e-5
-    )
-
-
-def test_scores_of_lengths_cover_an_image_evenly() -> None:
-    lengths = np.array([0, 4, 20, 100, 500, 2000], np.float32)
-    np.testing.assert_allclose(score_of_length(lengths, (300, 400)), [0, 0, 1 / 3, 2 / 3, 1, 1], atol=1e-6)
+    lengths = np.hypot(120, 60)
+    np.testing.assert_allclose(found.segments.scores, 1 - np.exp(-lengths / SCORE_LENGTH_PX), rtol=1e-5)
 
 
 def test_files_that_are_no_network_are_one_line(tmp_path: Path) -> None:
@@ -65,7 +59,7 @@ def test_mlsd_finds_the_edges_of_a_band(data_dir: Path) -> None:
     weights = data_dir.parent / "models/M-LSD_512_tiny_fp32.tflite"
     image = np.full((256, 300, 3), 60, np.uint8)
     cv2.rectangle(image, (20, 80), (279, 169), (200, 200, 200), -1)
-    long = MLSD(weights).detect([image])[0].segments.above(0.87)  # from 217 px on
+    long = MLSD(weights).detect([image])[0].segments.above(1 - np.exp(-200 / SCORE_LENGTH_PX))
     rows = long.endpoints[:, [1, 3]].mean(1)
     for edge in (80, 170):
         assert np.abs(rows - edge).min() < 3

@@ -144,7 +144,7 @@ def _check_png(view: memoryview) -> None:
             raise ImageError("the image is cut off")
         if zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4]):
             raise ImageError("the image does not match its CRC")
-        at, kind = end + 4, view[at + 4 : at + 8]
+        at, kind = end + 4, bytes(view[at + 4 : at + 8])
 
 
 def _claimed_to_pillow(view: memoryview) -> int:

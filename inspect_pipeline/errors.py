@@ -1,17 +1,19 @@
 """Every error a user can meet, one line each: the message names the file and says what to do.
 
 InspectError
-├── RecordingError       a recording that cannot be read or annotated
-├── StoreError           a store that cannot be read or written
-│   ├── StoreBusyError       exit 11
-│   └── StoreVersionError    exit 12
-├── InboxError           a folder or file of the inbox that is not there
-├── OutputError          a file that cannot be written where it was asked for
-├── HookError            a command of --on-finish that fails
-├── RulesError           thresholds that cannot be used
-├── SpansError           spans that cannot be used
-├── QueryError           an SQL statement that is refused or fails
-└── DetectorError        weights, images or training data that cannot be used
+├── FileError                about one file: path, problem, remedy
+│   ├── RecordingError       a recording that cannot be read or annotated
+│   ├── StoreError           a store that cannot be read or written
+│   │   ├── StoreBusyError       exit 11
+│   │   └── StoreVersionError    exit 12
+│   ├── InboxError           a folder or file of the inbox that is not there
+│   ├── OutputError          a file that cannot be written where it was asked for
+│   ├── RulesError           thresholds that cannot be used
+│   ├── SpansError           spans that cannot be used
+│   └── TerrainError         a terrain model that cannot be used
+├── HookError                a command of --on-finish that fails
+├── QueryError               an SQL statement that is refused or fails
+└── DetectorError            weights, images or training data that cannot be used
 """
 
 from __future__ import annotations
@@ -28,26 +30,26 @@ class InspectError(Exception):
     exit_code: ClassVar[int] = 1
 
 
-class RecordingError(InspectError):
-    """Raised when a recording cannot be read or annotated: `path: problem; remedy`."""
+class FileError(InspectError):
+    """Base of the errors about one file or folder: `path: problem; remedy`."""
 
     def __init__(self, path: Path, problem: str, remedy: str) -> None:
         message = f"{path}: {problem}; {remedy}"
-        # Names inside a damaged file may hold anything; a message stays one line.
+        # Names, and texts inside a damaged file, may hold anything; a message stays one line.
         super().__init__("".join(c if c.isprintable() else "?" for c in message))
         self.path, self.problem, self.remedy = path, problem, remedy
 
-
-class StoreError(InspectError):
-    """Raised when a store cannot be read or written: `path: problem; remedy`."""
-
-    def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
-        self.path, self.problem, self.remedy = path, problem, remedy
-
-    def __reduce__(self) -> tuple[type[StoreError], tuple[Path, str, str]]:
+    def __reduce__(self) -> tuple[type[FileError], tuple[Path, str, str]]:
         """Workers send it to their parent, and what pickle makes of an exception's text fits no __init__."""
         return type(self), (self.path, self.problem, self.remedy)
+
+
+class RecordingError(FileError):
+    """Raised when a recording cannot be read or annotated."""
+
+
+class StoreError(FileError):
+    """Raised when a store cannot be read or written."""
 
 
 class StoreBusyError(StoreError):
@@ -62,20 +64,24 @@ class StoreVersionError(StoreError):
     exit_code = 12
 
 
-class InboxError(InspectError):
-    """Raised when there is no such folder or file to look into: `path: problem; remedy`."""
-
-    def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
-        self.path, self.problem, self.remedy = path, problem, remedy
+class InboxError(FileError):
+    """Raised when there is no such folder or file to look into, or it cannot be read."""
 
 
-class OutputError(InspectError):
-    """Raised when a file cannot be written: `path: problem; remedy`."""
+class OutputError(FileError):
+    """Raised when a file cannot be written."""
 
-    def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
-        self.path, self.problem, self.remedy = path, problem, remedy
+
+class RulesError(FileError):
+    """Raised when a file of rules cannot be used."""
+
+
+class SpansError(FileError):
+    """Raised when a file of spans cannot be used."""
+
+
+class TerrainError(FileError):
+    """Raised when a terrain model cannot be used."""
 
 
 class HookError(InspectError):
@@ -88,30 +94,6 @@ class HookError(InspectError):
 
 class QueryError(InspectError):
     """Raised when an SQL statement is refused or fails."""
-
-
-class RulesError(InspectError):
-    """Raised when a file of rules cannot be used: `path: problem; remedy`."""
-
-    def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
-        self.path, self.problem, self.remedy = path, problem, remedy
-
-
-class SpansError(InspectError):
-    """Raised when a file of spans cannot be used: `path: problem; remedy`."""
-
-    def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
-        self.path, self.problem, self.remedy = path, problem, remedy
-
-
-class TerrainError(InspectError):
-    """Raised when a terrain model cannot be used: `path: problem; remedy`."""
-
-    def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
-        self.path, self.problem, self.remedy = path, problem, remedy
 
 
 class DetectorError(InspectError):

@@ -1,4 +1,4 @@
-"""From pixels to places: the ray of a pixel, and where it meets the ground or the plane of a span.
+"""From pixels to places: the ray of a pixel, and where it meets the ground.
 
 Flat earth about the camera; directions are (east, north, up). How far off the results are, by what is not
 known exactly: docs/inspection.md, Places.
@@ -109,23 +109,6 @@ def meet_terrain(ray: Floats, height_m: float, rise_m: Callable[[Floats, Floats]
     share = above_m[first - 1] / (above_m[first - 1] - above_m[first])
     met: Floats = ray * (steps_m[first - 1] + share * _MARCH_M)
     return met
-
-
-def meet_vertical_plane(rays: Floats, start: ArrayLike, end: ArrayLike) -> Floats:
-    """(N, 2): where rays meet the vertical plane through two structures.
-
-    start, end: east, north of the structures from the camera, in m. The result is metres along from the
-    first to the second, and metres above the camera; NaN for rays that do not meet the plane ahead.
-    """
-    origin, along = np.asarray(start, np.float64), np.subtract(end, start, dtype=np.float64)
-    along /= np.linalg.norm(along)
-    across = np.array([-along[1], along[0]])
-    towards = rays[:, :2] @ across
-    distance_m = np.full(len(rays), np.nan)
-    np.divide(origin @ across, towards, out=distance_m, where=np.abs(towards) > 1e-9)
-    distance_m[distance_m <= 0] = np.nan
-    met = rays * distance_m[:, np.newaxis]
-    return np.column_stack(((met[:, :2] - origin) @ along, met[:, 2]))
 
 
 def turned_down(vehicle: YawPitchRoll) -> YawPitchRoll:

@@ -62,11 +62,6 @@ class FrameRows:
         """The median interval; NaN with less than two frames."""
         return float(np.median(np.diff(self.times_s))) if len(self) > 1 else float("nan")
 
-    def rows_between(self, start_ns: int, end_ns: int) -> slice:
-        """The rows from one log time to another, both included."""
-        first, last = np.searchsorted(self.log_time_ns, (start_ns, end_ns + 1))
-        return slice(int(first), int(last))
-
 
 @dataclass(frozen=True)
 class LineRows:

@@ -51,27 +51,6 @@ def test_what_is_met_on_the_ground_is_seen_at_its_pixel(
         assert met[2] == pytest.approx(-height_m)
 
 
-def test_a_plane_by_hand() -> None:
-    """Structures 20 m east, one 30 m south and one 30 m north; the camera looks east and 10 degrees up."""
-    turns = YawPitchRoll(90.0, 10.0, 0.0)
-    rays = geo.pixel_rays(LENS, turns, [MIDDLE, (1640.0, 360.0)])
-    met = geo.meet_vertical_plane(rays, (20.0, -30.0), (20.0, 30.0))
-    up_m = 20 * np.tan(np.radians(10))
-    np.testing.assert_allclose(met[0], (30.0, up_m), atol=1e-9)
-    np.testing.assert_allclose(met[1], (30 - np.hypot(20, up_m), up_m), atol=1e-9)
-    behind = geo.pixel_rays(LENS, YawPitchRoll(-90.0, 0.0, 0.0), MIDDLE)
-    assert np.isnan(geo.meet_vertical_plane(behind, (20.0, -30.0), (20.0, 30.0))).all()
-
-
-@given(TURNS, st.floats(0, 1280), st.floats(0, 720))
-def test_what_is_met_on_a_plane_is_seen_at_its_pixel(turns: YawPitchRoll, x: float, y: float) -> None:
-    start, end = np.array([30.0, -80.0]), np.array([60.0, 40.0])
-    along_m, up_m = geo.meet_vertical_plane(geo.pixel_rays(LENS, turns, (x, y)), start, end)[0]
-    if abs(along_m) < 1e5:
-        east, north = start + along_m * (end - start) / np.linalg.norm(end - start)
-        assert project(turns, np.array([east, north, up_m])) == pytest.approx((x, y), abs=1e-4)
-
-
 def project(turns: YawPitchRoll, place: np.ndarray) -> tuple[float, float]:
     """The pixel of a place (east, north, up) by OpenCV."""
     ned_to_camera = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) @ np.linalg.inv(

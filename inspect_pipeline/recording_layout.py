@@ -172,14 +172,9 @@ def _chunk_extent(chunk: ChunkIndex) -> Extent:
     return Extent(chunk.chunk_start_offset, chunk.chunk_length, start_ns, end_ns, chunk)
 
 
-def _note_schema(file: RecordingFile, layout: Layout, offset: int, length: int) -> None:
-    schema = parse_record(Schema, load_body(file, offset + RECORD_HEAD.size, length))
-    layout.schemas[schema.id] = schema
-
-
-def _note_channel(file: RecordingFile, layout: Layout, offset: int, length: int) -> None:
-    channel = parse_record(Channel, load_body(file, offset + RECORD_HEAD.size, length))
-    layout.channels[channel.id] = channel
+def _note_definition(file: RecordingFile, layout: Layout, offset: int, length: int) -> None:
+    """Take a Schema or a Channel record."""
+    _read_definitions(load_body(file, offset, RECORD_HEAD.size + length), layout.schemas, layout.channels)
 
 
 def _note_message(file: RecordingFile, layout: Layout, offset: int, length: int) -> None:
@@ -252,8 +247,8 @@ def _note_metadata(file: RecordingFile, layout: Layout, offset: int, length: int
 
 
 _NOTED: dict[int, Callable[[RecordingFile, Layout, int, int], None]] = {
-    Opcode.SCHEMA: _note_schema,
-    Opcode.CHANNEL: _note_channel,
+    Opcode.SCHEMA: _note_definition,
+    Opcode.CHANNEL: _note_definition,
     Opcode.MESSAGE: _note_message,
     Opcode.CHUNK: _note_chunk,
     Opcode.MESSAGE_INDEX: _note_message_index,

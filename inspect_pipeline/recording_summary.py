@@ -29,6 +29,7 @@ _R = TypeVar("_R", bound=McapRecord)
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _MAX_LOADED_BYTES = 256 << 20  # for one record or a summary that is loaded whole
+_MAX_MESSAGES = 1 << 48  # beyond this statistics are damaged, and messages are counted
 _SUMMARY_RECORDS: dict[int, type[McapRecord]] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
@@ -105,5 +106,6 @@ def _parse_summary(section: bytes) -> Summary:
         elif isinstance(record, ChunkIndex):
             summary.chunks[record.chunk_start_offset] = record
         elif isinstance(record, Statistics):
-            summary.statistics = record
+            n_messages = sum(record.channel_message_counts.values())
+            summary.statistics = record if n_messages <= _MAX_MESSAGES else None
     return summary

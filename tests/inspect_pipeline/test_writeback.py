@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from typing import TYPE_CHECKING
 
@@ -73,6 +74,19 @@ def test_a_copy_holds_the_source_and_the_annotations(tmp_path: Path, name: str) 
         found = messages(target, seeking=seeking)
         assert Counter(found) == expected
         assert [m[1] for m in found] == sorted(m[1] for m in found)
+
+
+def test_statistics_that_cannot_be_are_not_believed(tmp_path: Path) -> None:
+    """What they count of each channel is beyond what 64 bits hold of all together."""
+    source = make_recording(tmp_path / "a.mcap", shots(12), enable_crcs=False)
+    data = bytearray(source.read_bytes())
+    for count in (struct.pack("<HQ", 1, 24), struct.pack("<HQ", 2, 12)):
+        at = data.rindex(count)
+        data[at + 2 : at + 10] = (1 << 63).to_bytes(8, "little")
+    source.write_bytes(data)
+    annotate(source, tmp_path / "b.mcap")
+    assert {c.topic: c.message_count for c in open_recording(source).channels} == {CAMERA: 12, "/gps": 24}
+    assert len(messages(tmp_path / "b.mcap", seeking=True)) == 48
 
 
 @pytest.mark.parametrize("name", SOURCES)

@@ -37,14 +37,12 @@ def _append(author: RecordingAuthor, part: Recording) -> int:
     layout, n_messages = part.layout, 0
     for message in iter_channel_messages(part, layout.channels.keys()):
         channel = layout.channels[message.channel_id]
-        schema, times_ns = (
-            layout.schemas.get(channel.schema_id),
-            (message.log_time_ns, message.publish_time_ns),
-        )
+        schema = layout.schemas.get(channel.schema_id)
+        times_ns = message.log_time_ns, message.publish_time_ns
         author.copy_message(channel, schema, *times_ns, bytes(message.data))
         n_messages += 1
-    for name, fields in part.metadata.items():
-        author.add_metadata(name, fields)
+    for record in part.iter_metadata():
+        author.add_metadata(record.name, record.metadata)
     for attachment in part.iter_attachments():
         author.add_attachment(attachment)
     return n_messages

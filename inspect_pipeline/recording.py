@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from mcap.records import Attachment, Metadata
 
@@ -27,8 +27,10 @@ from inspect_pipeline.recording_summary import load_record
 from inspect_pipeline.types import ChannelSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
     from pathlib import Path
+
+    from mcap.records import AttachmentIndex, MetadataIndex
 
     from inspect_pipeline.types import CameraChannel
 
@@ -36,6 +38,7 @@ _DIGEST_BYTES = 1 << 20
 _PLAUSIBLE_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100
 _WRONG_UNITS = {"seconds": 1, "milliseconds": 10**3, "microseconds": 10**6}
 _YEAR_NS = 365 * 86_400 * 10**9
+_R = TypeVar("_R", Attachment, Metadata)
 RUN_METADATA = "lsnet_pipe.run"  # name of the Metadata record that marks an annotated copy
 
 
@@ -114,7 +117,8 @@ class Recording:
     def _lose(self, loss: str) -> None:
         if self.strict:
             raise RecordingError(self.path, loss, STRICT_REMEDY)
-        self.losses.append(loss)
+        if loss not in self.losses:
+            self.losses.append(loss)
 
     def select_cameras(self, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:
         """The cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
@@ -144,10 +148,19 @@ class Recording:
 
     def iter_attachments(self) -> Iterator[Attachment]:
         """The Attachment records; one that cannot be read is lost. Raises RecordingError."""
+        return self._iter_records(Attachment, self.layout.attachments)
+
+    def iter_metadata(self) -> Iterator[Metadata]:
+        """The Metadata records, in their order; one that cannot be read is lost. Raises RecordingError."""
+        return self._iter_records(Metadata, self.layout.metadata)
+
+    def _iter_records(
+        self, kind: type[_R], indexes: Iterable[AttachmentIndex | MetadataIndex]
+    ) -> Iterator[_R]:
         with reading(self.path) as file:
-            for index in self.layout.attachments:
+            for index in indexes:
                 try:
-                    yield load_record(file, Attachment, index.offset)
+                    yield load_record(file, kind, index.offset)
                 except Damage as damage:
                     self._lose(f"{damage} at byte {index.offset:,}")
 

@@ -9,6 +9,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Attachment
 from rosbags.rosbag2 import Reader as BagReader
 
+from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.pack import PackResult, pack
 from inspect_pipeline.parts import find_parts
@@ -59,11 +60,18 @@ def test_attachments_and_metadata_are_kept(tmp_path: Path) -> None:
         tmp_path / "b", "f_0.mcap", 0, (CAMERA,), attachments=[b"notes"], metadata={"mission": {"line": "7"}}
     )
     part(tmp_path / "b", "f_1.mcap", 4, (CAMERA,), attachments=[b"more"])
+    with new_recording(tmp_path / "b" / "f_2.mcap") as author:  # two of one name
+        author.add_metadata("battery", {"percent": "90"})
+        author.add_metadata("battery", {"percent": "10"})
     pack(tmp_path / "b", tmp_path / "a.mcap")
     with (tmp_path / "a.mcap").open("rb") as file:
         reader = make_reader(file)
         assert [a.data for a in reader.iter_attachments() if isinstance(a, Attachment)] == [b"notes", b"more"]
-        assert [(m.name, m.metadata) for m in reader.iter_metadata()] == [("mission", {"line": "7"})]
+        assert [(m.name, m.metadata) for m in reader.iter_metadata()] == [
+            ("mission", {"line": "7"}),
+            ("battery", {"percent": "90"}),
+            ("battery", {"percent": "10"}),
+        ]
 
 
 def test_a_rosbag2_is_joined_by_its_metadata(tmp_path: Path) -> None:

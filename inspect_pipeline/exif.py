@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -40,14 +41,18 @@ class PhotographTags:
 
 
 def read_tags(path: Path) -> PhotographTags | None:
-    """What the head of an image file says; None when it is no image. Raises OSError."""
+    """What the head of an image file says; None when it is no image, or damaged. Raises OSError."""
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             exif, xmp = image.getexif(), image.info.get("xmp", b"")
             width, height = image.size
-    except (UnidentifiedImageError, SyntaxError, ValueError):
+            camera, gps = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
+    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError):
         return None
-    camera, gps = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
+    except OSError as error:
+        if error.errno is None:  # not of the disk: Pillow's own word for tags that are cut off
+            return None
+        raise
     dji = _dji_fields(xmp if isinstance(xmp, bytes) else xmp.encode())
     return PhotographTags(
         image_size=(height, width),

@@ -64,7 +64,10 @@ def pack(source: Path, target: Path) -> PackResult:
             return pack_parts(paths, target)
         return pack_photographs(source, target)
     except OSError as error:
-        raise OutputError(target, f"it cannot be made ({error.strerror})", "check rights and disk") from error
+        what = error.filename or target
+        raise OutputError(
+            target, f"it cannot be made ({what}: {error.strerror})", "check rights and disk"
+        ) from error
 
 
 def pack_parts(paths: Sequence[Path], target: Path) -> PackResult:
@@ -82,7 +85,8 @@ def pack_photographs(folder: Path, target: Path) -> PackResult:
     either they are taken for UTC.
     """
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in {".jpg", ".jpeg"})
-    tags_by_path = {path: tags for path in paths if (tags := read_tags(path)) and tags.clock}
+    found = {path: read_tags(path) for path in paths}
+    tags_by_path = {path: tags for path, tags in found.items() if tags and tags.clock}
     if not tags_by_path:
         raise RecordingError(
             folder, "it has no MCAP file, and no JPEG that says when it was taken", "name another folder"
@@ -94,16 +98,17 @@ def pack_photographs(folder: Path, target: Path) -> PackResult:
         for clock_ns, path in shots:
             before_ns = time_ns = max(clock_ns, before_ns + _STEP_NS)
             _write_photograph(author, time_ns, path, tags_by_path[path])
-    found = tags_by_path.values()
     counts = {
         "images": len(shots),
-        "positions": sum(tags.position is not None for tags in found),
-        "attitudes": sum(tags.gimbal is not None for tags in found),
+        "positions": sum(tags.position is not None for tags in tags_by_path.values()),
+        "attitudes": sum(tags.gimbal is not None for tags in tags_by_path.values()),
     }
-    without = (path for path in paths if path not in tags_by_path)
-    return PackResult(
-        counts, tuple(f"{path} does not say when it was taken, it is left out" for path in without)
+    without = (
+        f"{path} {'does not say when it was taken' if tags else 'cannot be read'}, it is left out"
+        for path, tags in found.items()
+        if path not in tags_by_path
     )
+    return PackResult(counts, tuple(without))
 
 
 def _write_photograph(author: RecordingAuthor, time_ns: int, path: Path, tags: PhotographTags) -> None:
@@ -160,11 +165,12 @@ def _zone(photographs: Sequence[PhotographTags]) -> timedelta:
 
 def _utc_ns(tags: PhotographTags, zone: timedelta) -> int:
     assert tags.clock is not None  # noqa: S101 - those without were left out
-    return _to_ns(tags.clock.replace(tzinfo=UTC) - zone)
+    return _to_ns(tags.clock.replace(tzinfo=UTC), zone)
 
 
-def _to_ns(time: datetime) -> int:
-    return (time - _EPOCH) // _MICROSECOND * 1000
+def _to_ns(time: datetime, zone: timedelta = timedelta()) -> int:
+    """Nanoseconds since 1970 of a clock that is `zone` ahead; clocks may begin in the year 1."""
+    return (time - _EPOCH - zone) // _MICROSECOND * 1000
 
 
 def pack_video(video: Path, target: Path) -> PackResult:
@@ -210,10 +216,13 @@ def _start_ns(video: Path, blocks: Sequence[SubtitleBlock], container: av.contai
     for block in blocks:
         if block.clock:
             return _to_ns(block.clock) - block.offset_ns
-    created = container.metadata.get("creation_time")
-    if not created:
-        raise RecordingError(video, "it does not say when it was taken", "put its SRT file beside it")
-    return _to_ns(datetime.fromisoformat(created))
+    try:
+        created = datetime.fromisoformat(container.metadata.get("creation_time", ""))
+    except ValueError as error:
+        raise RecordingError(
+            video, "it does not say when it was taken", "put its SRT file beside it"
+        ) from error
+    return _to_ns(created if created.tzinfo else created.replace(tzinfo=UTC))
 
 
 def _write_packets(

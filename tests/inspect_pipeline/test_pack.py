@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import struct
+import zlib
 from datetime import UTC, datetime
 from fractions import Fraction
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +17,8 @@ from typer.testing import CliRunner
 
 from inspect_pipeline.calibrations import read_intrinsics
 from inspect_pipeline.commands.pack import pack as pack_command
-from inspect_pipeline.errors import InspectError
-from inspect_pipeline.pack import PackResult, pack
+from inspect_pipeline.errors import InspectError, RecordingError
+from inspect_pipeline.pack import PackResult, _start_ns, pack
 from inspect_pipeline.poses import read_poses
 from inspect_pipeline.recording import open_recording
 from inspect_pipeline.recording_frames import iter_frames
@@ -78,7 +81,7 @@ def decoded(path: Path) -> list[tuple[str, int, Any]]:
         return [(c.topic, m.log_time, d) for _, c, m, d in reader.iter_decoded_messages()]
 
 
-def test_photographs_become_a_recording(tmp_path: Path) -> None:
+def test_photographs_become_a_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "photos"
     folder.mkdir()
     photograph(folder / "b.JPG", "2024:05:01 12:00:02", xmp=XMP, **where((48.0, 6.0, 9.0), 12.5))
@@ -86,13 +89,26 @@ def test_photographs_become_a_recording(tmp_path: Path) -> None:
     photograph(folder / "c.jpg", "2024:05:01 12:00:04")
     undated = photograph(folder / "d.jpg", None)
     (folder / "e.jpg").write_bytes(b"no image")
+    cut = photograph(folder / "f.jpg", "2024:05:01 12:00:09").read_bytes()
+    (folder / "f.jpg").write_bytes(cut[: cut.index(b"Exif") + 40])
+    size = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)  # claimed by a head of a few bytes
+    head = b"IHDR" + size
+    (folder / "g.jpg").write_bytes(
+        b"\x89PNG\r\n\x1a\n\0\0\0\r" + head + zlib.crc32(head).to_bytes(4) + b"\0\0\0\0IDAT\x35\xaf\x06\x1e"
+    )
     (folder / "notes.txt").write_text("weather: fine")
     target = tmp_path / "a.mcap"
 
     result = pack(folder, target)
     assert result.counts == {"images": 3, "positions": 2, "attitudes": 1}
     reason = "does not say when it was taken, it is left out"
-    assert result.warnings == (f"{undated} {reason}", f"{folder / 'e.jpg'} {reason}")
+    assert result.warnings == (
+        f"{undated} {reason}",
+        f"{folder / 'e.jpg'} cannot be read, it is left out",
+        f"{folder / 'f.jpg'} cannot be read, it is left out",
+        f"{folder / 'g.jpg'} cannot be read, it is left out",
+    )
+    assert capfd.readouterr().err == ""
     recording = open_recording(target)
     frames = list(iter_frames(recording))
     start_ns = utc_ns("2024-05-01T12:00:02")
@@ -122,6 +138,36 @@ def test_the_zone_of_the_clock_is_told_by_gps_or_by_exif(tmp_path: Path) -> None
         pack(tmp_path / name, tmp_path / f"{name}.mcap")
     assert open_recording(tmp_path / "gps.mcap").start_ns == utc_ns("2024-05-01T06:30:02")
     assert open_recording(tmp_path / "none.mcap").start_ns == utc_ns("2024-05-01T12:00:02")
+
+
+@pytest.mark.parametrize(
+    ("told", "wanted"),
+    [("2024-05-01 12:00:00", "2024-05-01T12:00:00"), ("2024-05-01T12:00:00.5Z", "2024-05-01T12:00:00.500")],
+)
+def test_when_a_video_was_made(tmp_path: Path, told: str, wanted: str) -> None:
+    container = SimpleNamespace(metadata={"creation_time": told})
+    assert _start_ns(tmp_path, [], container) == utc_ns(wanted)
+
+
+@pytest.mark.parametrize("metadata", [{}, {"creation_time": "yesterday"}])
+def test_a_video_that_does_not_say_when_it_was_made(tmp_path: Path, metadata: dict[str, str]) -> None:
+    with pytest.raises(RecordingError, match="put its SRT file beside it"):
+        _start_ns(tmp_path, [], SimpleNamespace(metadata=metadata))
+
+
+def test_a_clock_that_was_never_set(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    photograph(
+        tmp_path / "photos" / "a.jpg",
+        "0001:01:01 00:00:00",
+        GPSDateStamp="0001:01:01",
+        GPSTimeStamp=(0, 0, 0),
+    )
+    with Image.open(tmp_path / "photos" / "a.jpg") as image:
+        exif = image.getexif()
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.OffsetTimeOriginal] = "+02:00"
+    Image.new("RGB", (300, 200)).save(tmp_path / "photos" / "a.jpg", exif=exif)
+    assert pack(tmp_path / "photos", tmp_path / "a.mcap").counts["images"] == 1
 
 
 def make_video(path: Path, n_pictures: int = 30, **options: str) -> None:

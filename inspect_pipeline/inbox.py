@@ -73,7 +73,8 @@ class Discovery:
 def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None = None) -> Discovery:
     """The recordings in folders, files and glob patterns, each once, changed at or after `since_ns`.
 
-    Nothing below the folder `without` is looked at. Raises InboxError for a folder or file that is not there.
+    Nothing below the folder `without` is looked at. Raises InboxError for a folder or file that is not there,
+    and for a folder that cannot be read.
     """
     candidates: dict[Path, Candidate] = {}
     links_out: dict[Path, None] = {}
@@ -92,6 +93,7 @@ def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, str | No
     path = Path(inbox).absolute()
     if path.is_dir():
         root = os.path.realpath(path)
+        _check_readable(path)
         yield from ((whole_of(found), root) for found in _walk(path, without))
     elif path.exists():
         yield path, None
@@ -105,6 +107,14 @@ def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, str | No
         raise InboxError(
             path, "there is no such folder or file", "check the name, and that its disk is mounted"
         )
+
+
+def _check_readable(folder: Path) -> None:
+    """One that may not be looked into must not pass for an empty one."""
+    try:
+        next(folder.iterdir(), None)
+    except OSError as error:
+        raise InboxError(folder, f"it cannot be read ({error.strerror})", "check its rights") from error
 
 
 def _walk(folder: Path, without: Path | None) -> Iterator[Path]:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from inspect_pipeline.errors import InboxError
 from inspect_pipeline.inbox import Candidate, discover
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 WHOLE = b"\x89MCAP0\r\n" * 2
 
@@ -67,6 +64,15 @@ def test_odd_names(inbox: Path, name: str | bytes) -> None:
 def test_what_is_not_there(inbox: Path) -> None:
     with pytest.raises(InboxError, match="mounted"):
         discover([str(inbox / "none")])
+
+
+def test_an_inbox_that_may_not_be_read_is_no_empty_one(inbox: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(InboxError, match=f"{inbox}: it cannot be read .Permission denied.; check its rights"):
+        found(inbox)
 
 
 def bag(folder: Path, *parts: str) -> Path:

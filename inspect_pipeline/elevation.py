@@ -62,11 +62,12 @@ def load_elevation(path: Path) -> Elevation:
                 size = f"has {model.width} x {model.height} cells, which are too many"
                 raise TerrainError(path, size, "cut out the area of the flights with gdalwarp")
             heights_m = model.read(1, masked=True).astype(np.float32).filled(np.nan)
-            inverse, crs = ~model.transform, pyproj.CRS.from_user_input(model.crs.to_wkt())
-    except rasterio.errors.RasterioError as error:
+            inverse, crs = ~model.transform, model.crs.to_wkt()
+        from_degrees = pyproj.Transformer.from_crs("EPSG:4979", crs, always_xy=True)
+    except (rasterio.errors.RasterioError, pyproj.exceptions.ProjError) as error:
         raise TerrainError(path, "cannot be read as a terrain model", "give a GeoTIFF") from error
     to_cells = np.array([[inverse.a, inverse.b, inverse.c - 0.5], [inverse.d, inverse.e, inverse.f - 0.5]])
-    return Elevation(heights_m, to_cells, pyproj.Transformer.from_crs("EPSG:4979", crs, always_xy=True))
+    return Elevation(heights_m, to_cells, from_degrees)
 
 
 def digest(path: Path) -> str:

@@ -17,6 +17,7 @@ def write_dem(
     path: Path,
     place: tuple[float, float],
     height_m: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    crs: str = "EPSG:32631",
 ) -> Path:
     """A GeoTIFF of 1 km about a place (latitude, longitude) in UTM zone 31: heights by metres east, north."""
     rasterio = pytest.importorskip("rasterio")
@@ -27,6 +28,6 @@ def write_dem(
     heights = height_m(*np.meshgrid(at, -at)).astype(np.float32)
     transform = rasterio.transform.from_origin(x - side * cell_m / 2, y + side * cell_m / 2, cell_m, cell_m)
     shape = {"height": side, "width": side, "count": 1, "dtype": "float32", "nodata": -9999.0}
-    with rasterio.open(path, "w", driver="GTiff", crs="EPSG:32631", transform=transform, **shape) as file:
+    with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=transform, **shape) as file:
         file.write(heights, 1)
     return path

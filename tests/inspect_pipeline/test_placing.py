@@ -201,6 +201,9 @@ def test_what_is_no_terrain_model(tmp_path: Path) -> None:
     text.write_text("no heights")
     with pytest.raises(TerrainError, match="cannot be read as a terrain model"):
         start_run(FakeDetector(), ProcessOptions(placing=PlacingOptions(terrain=text)))
+    local = write_dem(tmp_path / "local.tif", HERE[:2], lambda east, _: east, crs='LOCAL_CS["site"]')
+    with pytest.raises(TerrainError, match="cannot be read as a terrain model"):
+        load_elevation(local)
 
 
 def test_the_content_of_a_terrain_model_tells_runs_apart(tmp_path: Path) -> None:

@@ -148,8 +148,11 @@ def run_rows(runs: Iterable[RunRecord], summaries: Iterable[RunSummary]) -> list
 def notify(command: str, summary: RunSummary) -> None:
     """Run a command, split as a shell does, with the summary in JSON on its stdin; raises HookError."""
     try:
+        words = shlex.split(command)
+        if not words:
+            raise ValueError("it is empty")  # noqa: TRY301 - told as all that is wrong with it
         subprocess.run(
-            shlex.split(command),
+            words,
             input=json.dumps(summary.to_json()),
             text=True,
             stdout=sys.stderr,

@@ -54,7 +54,7 @@ class StatCache:
     def _read(self, line: bytes) -> None:
         try:
             path, size_bytes, mtime_ns, flight_id = json.loads(line)
-        except ValueError:  # cut by a kill or a full disk
+        except (TypeError, ValueError):  # cut by a kill or a full disk
             return
         self._known[path] = (size_bytes, mtime_ns, flight_id)
 

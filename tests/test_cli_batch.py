@@ -167,6 +167,7 @@ def test_a_dry_run_writes_nothing(run: Callable[..., Outcome], tmp_path: Path) -
         (("nowhere",), 1, "nowhere: there is no such folder or file; check the name"),
         (("inbox", "--weights", "none"), 1, "error: no weights named 'none'"),
         (("inbox", "--tag", "L12"), 2, "'L12' is not like line=L12"),
+        (("inbox", "--on-finish", " "), 1, "error:  : the command of --on-finish failed (it is empty)"),
         (("inbox", "--on-finish", "false"), 1, "error: false: the command of --on-finish failed"),
         (("inbox", "--metrics", "no/where.prom"), 1, "no/where.prom: the metrics cannot be written"),
     ],

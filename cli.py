@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from importlib.metadata import version
+from io import TextIOWrapper
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -29,6 +30,7 @@ from inspect_pipeline.commands import (
     simulate,
     spans,
 )
+from inspect_pipeline.commands.batch_log import printable
 from inspect_pipeline.errors import InspectError
 
 if TYPE_CHECKING:
@@ -90,6 +92,8 @@ def main() -> None:
 
     for signal_number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signal_number, stop)
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need be no text
     try:
         app()
     except Exception as error:
@@ -98,7 +102,7 @@ def main() -> None:
         message = _to_message(error)
         if message is None:
             raise
-        typer.echo(f"error: {message}", err=True)
+        typer.echo(printable(f"error: {message}"), err=True)
         sys.exit(getattr(error, "exit_code", 1))
 
 

@@ -134,6 +134,38 @@ def test_process_goes_on_past_a_bad_recording(run: Callable[..., Outcome], tmp_p
     assert run("query", "SELECT count(*) AS n FROM flights", "--format", "csv").out.split() == ["n", "1"]
 
 
+def test_process_goes_on_past_a_recording_that_vanishes(
+    run: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        make_recording(tmp_path / f"{name}.mcap", shots(3, f"/{name}"))
+    whole = FakeDetector.detect
+
+    def detect(self: FakeDetector, images: Any) -> Any:
+        (tmp_path / "a.mcap").unlink(missing_ok=True)
+        return whole(self, images)
+
+    monkeypatch.setattr(FakeDetector, "detect", detect)
+    outcome = run("process", "a.mcap", "b.mcap", "--json")
+    assert outcome.exit_code == 1
+    assert outcome.err == "error: a.mcap: No such file or directory; check the disk and its rights\n"
+    assert [json.loads(line)["source"] for line in outcome.out.splitlines()] == ["b.mcap"]
+
+
+def test_names_that_are_no_text(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    path = make_recording(tmp_path / os.fsdecode(b"\xff[red].mcap"), shots(1, "/a\x1b[31m"))
+    assert run("process", path).exit_code == 0
+    told = run("info", path)
+    assert told.exit_code == 0
+    assert "?[red].mcap" in told.out
+    assert "  /a?[31m: 1 messages" in told.out
+    assert run("flights", "list").exit_code == 0
+    assert (
+        run("process", f"{path}.gone").err
+        == f"error: {tmp_path}/?[red].mcap.gone: there is no such file; check the name\n"
+    )
+
+
 def test_a_process_is_a_run(run: Callable[..., Outcome], tmp_path: Path) -> None:
     make_recording(tmp_path / "a.mcap", shots(3))
     (tmp_path / "bad.mcap").write_bytes(b"no recording")
@@ -345,9 +377,18 @@ def test_errors_of_the_detector_are_one_line(
         ["proces", "a.mcap"],
         ["process", "a.mcap", "--every", "0"],
         ["process", "a.mcap", "--start", "yesterday"],
+        ["process", "a.mcap", "--start", "20", "--end", "20"],
+        ["process", "a.mcap", "--ground-alt", "nan"],
+        ["process", "a.mcap", "--scale", "nan"],
         ["simulate", "a.mcap", "--size", "big"],
+        ["simulate", "a.mcap", "--size", "100000x100000"],
+        ["simulate", "a.mcap", "--fps", "inf"],
         ["simulate", "a.mcap", "--fault", "gremlins"],
         ["query", "SELECT 1", "--format", "xml"],
+        ["query", "SELECT 1", "--timeout", "inf"],
+        ["query", "SELECT 1", "--show-sql"],
+        ["query", "--named", "gaps", "--param", "flight"],
+        ["schedule", "inbox", "--print", "cron", "-o", "units"],
     ],
 )
 def test_wrong_usage_exits_2_in_plain_text(run: Callable[..., Outcome], arguments: list[str]) -> None:

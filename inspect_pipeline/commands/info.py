@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspect_pipeline.commands.batch_log import printable
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -30,7 +32,7 @@ def info(
         typer.echo(f"flight    {source.flight_id}, of {len(source.parts)} parts:\n")
     for part in source.parts:
         for line in _describe(part):
-            typer.echo(line)
+            typer.echo(printable(line))
 
 
 def _describe(recording: Recording) -> Iterator[str]:

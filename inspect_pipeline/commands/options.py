@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -27,6 +28,13 @@ def parse_time_ns(text: str) -> int:
     return (elapsed.days * 86_400 + elapsed.seconds) * 10**9 + elapsed.microseconds * 1000
 
 
+def finite(number: float | None) -> float | None:
+    """The number; what is called nan and inf is none to work with."""
+    if number is not None and not math.isfinite(number):
+        raise typer.BadParameter(f"{number} is not a number to work with")
+    return number
+
+
 StoreOption = Annotated[
     Path | None,
     typer.Option("--store", metavar="DIR", help="The store; else LSNET_PIPE_STORE, else ./inspections."),
@@ -38,13 +46,20 @@ ScaleOption = Annotated[
     typer.Option(
         min=0.05,
         max=4.0,
+        callback=finite,
         metavar="FACTOR",
         help="Look at images of this size; else only small ones are enlarged.",
     ),
 ]
 MinScoreOption = Annotated[
     float | None,
-    typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Least score of a segment; else the weights' own."),
+    typer.Option(
+        min=0.0,
+        max=1.0,
+        callback=finite,
+        metavar="SCORE",
+        help="Least score of a segment; else the weights' own.",
+    ),
 ]
 WriteOption = Annotated[
     WriteMode,
@@ -57,6 +72,7 @@ GroundAltOption = Annotated[
     float | None,
     typer.Option(
         "--ground-alt",
+        callback=finite,
         metavar="METRES",
         help="Altitude of the ground as the positions count it; else as the recording says.",
     ),
@@ -75,13 +91,16 @@ ViewOption = Annotated[
         "--view",
         min=1.0,
         max=179.0,
+        callback=finite,
         metavar="DEGREES",
         help="From left to right of an image, for cameras without calibration.",
     ),
 ]
 WireOption = Annotated[
     float,
-    typer.Option("--wire", min=0.1, metavar="MM", help="Diameter of a conductor, whose width is told."),
+    typer.Option(
+        "--wire", min=0.1, callback=finite, metavar="MM", help="Diameter of a conductor, whose width is told."
+    ),
 ]
 RuntimeOption = Annotated[
     str, typer.Option(metavar="NAME", help="auto, torch, openvino, openvino-bf16 or openvino-int8.")

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from inspect_pipeline.commands.batch_log import printable
+
 
 def pack(
     source: Annotated[
@@ -27,5 +29,5 @@ def pack(
 
     result = packing.pack(source, target)
     for warning in result.warnings:
-        typer.echo(f"warning: {warning}", err=True)
+        typer.echo(printable(f"warning: {warning}"), err=True)
     typer.echo(f"{target}: {', '.join(f'{count} {what}' for what, count in result.counts.items())}")

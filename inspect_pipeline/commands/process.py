@@ -71,6 +71,9 @@ def process(
 
     Example: lsnet-pipe process flight.mcap --store /data/inspections --json
     """
+    if start is not None and end is not None and start >= end:
+        raise typer.BadParameter("--end is not after --start")
+
     from inspect_pipeline import config
     from inspect_pipeline.errors import InspectError, StoreError
     from inspect_pipeline.store import Store, store_path
@@ -119,6 +122,9 @@ def process(
             n_failed, exit_code = n_failed + 1, error.exit_code
             if isinstance(error, StoreError):  # the next recording would fail alike
                 break
+        except OSError as error:  # it vanished, or its disk fails
+            typer.echo(f"error: {path}: {error.strerror or error}; check the disk and its rights", err=True)
+            n_failed, exit_code = n_failed + 1, 1
     if any(result.status != "skipped" for result in results):
         save_run(
             the_store,
@@ -161,4 +167,4 @@ def _print_results(results: list[ProcessResult], *, as_json: bool) -> None:
         if as_json:
             typer.echo(json.dumps(asdict(result), default=str))
         else:
-            typer.echo(_ROW.format_map(asdict(result) | {"flight_id": result.flight_id[:16]}))
+            typer.echo(printable(_ROW.format_map(asdict(result) | {"flight_id": result.flight_id[:16]})))

@@ -28,7 +28,7 @@ def progress_bar(name: str, total: int | None, done: int = 0) -> Iterator[Advanc
     from rich.console import Console
 
     columns = (
-        progress.TextColumn("{task.description}"),
+        progress.TextColumn("{task.description}", markup=False),  # names of files may look like markup
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         progress.TimeRemainingColumn(),

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import StoreOption
+from inspect_pipeline.commands.options import StoreOption, finite
 
 
 class OutputFormat(StrEnum):
@@ -41,7 +41,10 @@ def query(
     allow_files: Annotated[
         bool, typer.Option("--allow-files", help="Let the statement read files, as in read_csv.")
     ] = False,
-    timeout: Annotated[float, typer.Option(help="Stop the query after this many seconds.", min=0.1)] = 60.0,
+    timeout: Annotated[
+        float,
+        typer.Option(min=0.1, max=1e6, callback=finite, help="Stop the query after this many seconds."),
+    ] = 60.0,
 ) -> None:
     """Ask the index in SQL: one SELECT, WITH, EXPLAIN, DESCRIBE, SHOW or SUMMARIZE; or a query by its name.
 
@@ -49,6 +52,8 @@ def query(
     """
     if (sql is None) == (named is None):
         raise typer.BadParameter("give SQL or --named NAME; --named list shows the names")
+    if sql is not None and (param or show_sql):
+        raise typer.BadParameter("--param and --show-sql go with --named NAME")
     if sql is None:
         sql = _find_named(named or "", param or [], show_sql)
         if sql is None:
@@ -79,5 +84,7 @@ def _find_named(name: str, values: list[str], is_shown: bool) -> str | None:
     if is_shown:
         typer.echo(query.sql.rstrip())
         return None
-    pairs = (value.partition("=") for value in values)
+    pairs = [value.partition("=") for value in values]
+    if wrong := [key for key, equals, _ in pairs if not equals]:
+        raise typer.BadParameter(f"{wrong[0]!r} is no NAME=VALUE")
     return query.with_values({key: value for key, _, value in pairs})

@@ -42,6 +42,9 @@ def schedule(
 
     Example: lsnet-pipe schedule /data/inbox --store /data/inspections --print systemd
     """
+    if scheduler is Scheduler.cron and (user or output):
+        raise typer.BadParameter("--user and -o go with --print systemd")
+
     from inspect_pipeline.errors import OutputError
     from inspect_pipeline.schedule import cron_line, systemd_units
     from inspect_pipeline.store import store_path

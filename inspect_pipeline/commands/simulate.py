@@ -7,21 +7,25 @@ from typing import Annotated
 
 import typer
 
+from inspect_pipeline.commands.options import finite
 from inspect_pipeline.simulate_options import FaultKind, FlightKind, RenderKind, SchemaKind
+
+_LEAST_PX, _MOST_PX = 64, 8192
 
 
 def _parse_size(text: str) -> tuple[int, int]:
     """(height, width) of a text like 1280x720."""
     width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 64):
-        raise typer.BadParameter(f"{text!r} is not a size like 1280x720, of at least 64 px")
+    is_size = width.isdecimal() and height.isdecimal()
+    if not is_size or not all(_LEAST_PX <= int(side) <= _MOST_PX for side in (width, height)):
+        raise typer.BadParameter(f"{text!r} is not a size like 1280x720, of {_LEAST_PX} to {_MOST_PX} px")
     return int(height), int(width)
 
 
 def simulate(
     target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to make (MCAP).")],
-    seconds: Annotated[float, typer.Option(min=0.1, help="Length of the flight.")] = 20.0,
-    fps: Annotated[float, typer.Option(min=0.1, help="Images per second.")] = 2.0,
+    seconds: Annotated[float, typer.Option(min=0.1, callback=finite, help="Length of the flight.")] = 20.0,
+    fps: Annotated[float, typer.Option(min=0.1, callback=finite, help="Images per second.")] = 2.0,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Of the images, in px.")] = "1280x720",
     seed: Annotated[int, typer.Option(min=0, help="Another seed is another landscape and line.")] = 0,
     flight: Annotated[FlightKind, typer.Option(help="How the drone flies.")] = FlightKind.PASS_BY,
@@ -35,7 +39,7 @@ def simulate(
     bundle: Annotated[int, typer.Option(min=1, max=4, metavar="N", help="Wires of a phase.")] = 1,
     ground: Annotated[
         Path | None,
-        typer.Option(metavar="PHOTO", help="A photograph from above as the ground, 80 m wide; else drawn."),
+        typer.Option(metavar="PHOTO", help="A photograph from above as the ground, 82 m wide; else drawn."),
     ] = None,
     render: Annotated[
         RenderKind, typer.Option(help="Conductors drawn quickly, or traced by Mitsuba (extra synth).")

@@ -12,12 +12,13 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from inspect_pipeline import index
 from inspect_pipeline.config import start_described_run
 from inspect_pipeline.errors import InspectError, StoreError
 from inspect_pipeline.executor_local import LocalExecutor
+from inspect_pipeline.executor_ray import RayExecutor
 from inspect_pipeline.flight import ANNOTATED
 from inspect_pipeline.inbox import Candidate, discover
 from inspect_pipeline.quarantine import Quarantine, QuarantineNote
@@ -29,9 +30,9 @@ from inspect_pipeline.worker import Failure
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from inspect_pipeline.executor_local import Outcome
+    from inspect_pipeline.executor import Executor, Outcome
     from inspect_pipeline.store import Store
-    from inspect_pipeline.types import ProcessResult
+    from inspect_pipeline.types import ExecutorName, ProcessResult
     from inspect_pipeline.worker import Job
 
 _PUBLISH_EVERY_S = 600.0
@@ -42,14 +43,16 @@ class BatchOptions:
     """What to go through, and how carefully.
 
     inboxes: folders, files and glob patterns; since_ns: only files changed since, ns since 1970; limit:
-    recordings to process at most; timeout_s: of one attempt; max_attempts: before a recording that kills or
-    outstays its worker goes to quarantine; settle_s: how long a file must be unchanged to count as written;
-    keep_annotated_days: annotated copies of flights made longer ago are removed, None for never.
+    recordings to process at most; executor: where the workers are; timeout_s: of one attempt; max_attempts:
+    before a recording that kills or outstays its worker goes to quarantine; settle_s: how long a file must be
+    unchanged to count as written; keep_annotated_days: annotated copies of flights made longer ago are
+    removed, None for never.
     """
 
     inboxes: tuple[str, ...]
     since_ns: int = 0
     limit: int | None = None
+    executor: ExecutorName = "local"
     n_workers: int = 1
     timeout_s: float = 3600.0
     max_attempts: int = 3
@@ -90,8 +93,9 @@ def plan_batch(store: Store, job: Job, options: BatchOptions, report: Report) ->
         return _Batch(store, job, options, executor=executor, report=report, stop=stop).plan()
 
 
-def _executor(job: Job, options: BatchOptions, stop: StopRequest) -> LocalExecutor:
-    return LocalExecutor(
+def _executor(job: Job, options: BatchOptions, stop: StopRequest) -> Executor[Any]:
+    kind = RayExecutor if options.executor == "ray" else LocalExecutor
+    return kind(
         job,
         n_workers=options.n_workers,
         timeout_s=options.timeout_s,
@@ -109,7 +113,7 @@ class _Batch:
         job: Job,
         options: BatchOptions,
         *,
-        executor: LocalExecutor,
+        executor: Executor[Any],
         report: Report,
         stop: StopRequest,
     ) -> None:

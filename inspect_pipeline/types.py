@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 WriteMode = Literal["copy", "sidecar", "none"]  # where annotations go
 SchemaName = Literal["protobuf", "ros2msg"]  # of annotations
+ExecutorName = Literal["local", "ray"]  # where a batch has its workers
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""The child process that a batch gives recordings to, one at a time.
+"""What a batch gives recordings to, one at a time: a service, and the child process that offers it.
 
-It loads the detector once, writes flights into the store, never opens the index, and dies with its parent.
+It loads the detector once, writes flights into the store, and never opens the index.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from inspect_pipeline.config import ProcessOptions
+    from inspect_pipeline.flight import RunRecord
+    from inspect_pipeline.types import ProcessResult
     from lsnet import Detector
 
 _PR_SET_PDEATHSIG = 1
@@ -79,10 +81,36 @@ class Failure:
     detail: str
 
 
+class Service:
+    """A detector, and the store its flights go to; raises DetectorError when it cannot be loaded."""
+
+    def __init__(self, job: Job) -> None:
+        from inspect_pipeline.pipeline import process  # noqa: PLC0415 - the parent does without OpenCV
+
+        self._detector = job.make_detector()
+        self._store, self._options, self._process = Store(job.store_root), job.options, process
+
+    def ready(self) -> Ready:
+        """The first message."""
+        return Ready(self._detector.describe())
+
+    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError:
+        """What became of a recording; a store that cannot be written is not its fault."""
+        try:
+            return self._process(path, self._store, self._detector, self._options, run)
+        except StoreError as error:
+            return error
+        except RecordingError as error:
+            return Failure("unreadable", str(error))
+        except Exception:  # whatever it is, it must not take the other recordings along
+            return Failure("error", traceback.format_exc(limit=-_TRACEBACK_FRAMES))
+
+
 def main() -> None:
-    """Serve the parent: the arguments are the number of the pipe's descriptor and the parent's pid.
+    """Serve the parent, and die with it: the arguments are the number of the pipe's descriptor and its pid.
 
     Its sys.path and a Job arrive first; a Ready is the answer, or the DetectorError that prevents it.
+    Then each (path, run) is answered.
     """
     descriptor, parent_pid = map(int, sys.argv[1:])
     _die_with(parent_pid)
@@ -90,32 +118,17 @@ def main() -> None:
     sys.path[:] = connection.recv()
     job = connection.recv()
     try:
-        detector = job.make_detector()
+        service = Service(job)
     except DetectorError as error:
         connection.send(error)
-    else:
-        _serve(connection, job, detector)
-
-
-def _serve(connection: Connection[Any, Any], job: Job, detector: Detector) -> None:
-    """Send a Ready, then answer each (path, run) with a ProcessResult, a Failure or an error of the store."""
-    from inspect_pipeline.pipeline import process  # noqa: PLC0415 - the parent does without OpenCV
-
-    connection.send(Ready(detector.describe()))
-    store = Store(job.store_root)
+        return
+    connection.send(service.ready())
     while True:
         try:
             path, run = connection.recv()
         except (EOFError, OSError):  # the parent has died
             return
-        try:
-            connection.send(process(path, store, detector, job.options, run))
-        except StoreError as error:
-            connection.send(error)
-        except RecordingError as error:
-            connection.send(Failure("unreadable", str(error)))
-        except Exception:  # whatever it is, it must not take the other recordings along
-            connection.send(Failure("error", traceback.format_exc(limit=-_TRACEBACK_FRAMES)))
+        connection.send(service.process(path, run))
 
 
 def _die_with(parent_pid: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import time
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 from fakes import FakeDetector
 
 from inspect_pipeline.errors import DetectorError, RecordingError
-from inspect_pipeline.executor_local import Outcome
+from inspect_pipeline.executor import Outcome
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.store import Store
 from inspect_pipeline.worker import Failure
@@ -29,15 +28,17 @@ if TYPE_CHECKING:
     from lsnet import Detections
 
 LIGHT = Path(__file__).with_name("light")  # in front of sys.path, for processes that need no network
-KILL, KILL_ONCE, HANG, RAISE, SEGFAULT = 60, 61, 62, 63, 59  # numbers of pictures, see factories.picture
+KILL, KILL_ONCE, HANG, RAISE = 60, 61, 62, 63  # numbers of pictures, see factories.picture
 
 
 class StubDetector(FakeDetector):
-    """A FakeDetector that notes how many images it has seen, and does harm at certain pictures."""
+    """A FakeDetector that notes its process and the images it has seen, and does harm at certain pictures."""
 
     def __init__(self, folder: Path, weights: str, delay_s: float) -> None:
         super().__init__(weights)
         self._folder, self._delay_s = folder, delay_s
+        with (folder / "workers").open("a") as workers:
+            workers.write(f"{os.getpid()}\n")
 
     def detect(self, images: Sequence[Any]) -> list[Detections]:
         with (self._folder / "seen").open("a") as seen:
@@ -51,9 +52,6 @@ class StubDetector(FakeDetector):
         if number == KILL or (number == KILL_ONCE and not (self._folder / "killed").exists()):
             (self._folder / "killed").touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        if number == SEGFAULT:
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-            os.kill(os.getpid(), signal.SIGSEGV)
         if number == HANG:
             time.sleep(600)
         if number == RAISE:

@@ -115,7 +115,10 @@ def test_options_from_a_file(run: Callable[..., Outcome], tmp_path: Path) -> Non
         assert (outcome.exit_code, words in outcome.err) == (2, True)
 
 
-def test_every_option_can_be_in_the_file(run: Callable[..., Outcome], tmp_path: Path) -> None:
+def test_every_option_can_be_in_the_file(
+    run: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batch, "RayExecutor", InlineExecutor)
     write_dem(tmp_path / "terrain.tif", (47.0, 3.0), lambda east, _: 0 * east)
     (tmp_path / "night.toml").write_text(
         """
@@ -124,6 +127,7 @@ def test_every_option_can_be_in_the_file(run: Callable[..., Outcome], tmp_path: 
         since = 1970-01-01T00:00:00Z
         dry-run = true
         limit = 2
+        executor = "ray"
         jobs = 2
         timeout = 60
         max-attempts = 1
@@ -166,6 +170,7 @@ def test_a_dry_run_writes_nothing(run: Callable[..., Outcome], tmp_path: Path) -
     [
         (("nowhere",), 1, "nowhere: there is no such folder or file; check the name"),
         (("inbox", "--weights", "none"), 1, "error: no weights named 'none'"),
+        (("inbox", "--executor", "ray"), 1, "error: Ray is not installed; pip install 'lsnet-pipe[ray]'"),
         (("inbox", "--tag", "L12"), 2, "'L12' is not like line=L12"),
         (("inbox", "--on-finish", " "), 1, "error:  : the command of --on-finish failed (it is empty)"),
         (("inbox", "--on-finish", "false"), 1, "error: false: the command of --on-finish failed"),
@@ -173,8 +178,13 @@ def test_a_dry_run_writes_nothing(run: Callable[..., Outcome], tmp_path: Path) -
     ],
 )
 def test_what_goes_wrong_is_told(
-    run: Callable[..., Outcome], arguments: tuple[str, ...], exit_code: int, words: str
+    run: Callable[..., Outcome],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    exit_code: int,
+    words: str,
 ) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
     outcome = run("batch", *arguments)
     assert outcome.exit_code == exit_code
     assert words in outcome.err

@@ -23,6 +23,7 @@ from inspect_pipeline.commands.options import (
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
+from inspect_pipeline.types import ExecutorName
 
 if TYPE_CHECKING:
     from inspect_pipeline.batch import BatchOptions, Report
@@ -52,6 +53,9 @@ def batch(
     limit: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Process at most N recordings.")
     ] = None,
+    executor: Annotated[
+        ExecutorName, typer.Option(help="Workers on this machine, or in the Ray cluster of RAY_ADDRESS.")
+    ] = "local",
     jobs: Annotated[
         int, typer.Option(min=1, metavar="N", help="Recordings at a time; each keeps several cores busy.")
     ] = 1,
@@ -127,6 +131,7 @@ def batch(
         inboxes=tuple(inbox),
         since_ns=since or 0,
         limit=limit,
+        executor=executor,
         n_workers=jobs,
         timeout_s=timeout,
         max_attempts=max_attempts,

@@ -14,7 +14,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 import duckdb
 import pytest
 from factories import Shot, make_recording, shots
-from stubs import HANG, KILL_ONCE, LIGHT, RAISE, InlineExecutor, MakeStub
+from stubs import HANG, LIGHT, RAISE, InlineExecutor, MakeStub
 
 from inspect_pipeline import batch, index
 from inspect_pipeline.batch import BatchOptions, plan_batch, run_batch
@@ -123,14 +123,6 @@ def test_refused_recordings_go_to_quarantine_and_stay_in_place(night: Night) -> 
     assert {path: path.read_bytes() for path in night.inbox.iterdir()} == before
     again = night.run()
     assert (again.exit_code, night.counts(again)) == (3, {"found": 3, "skipped": 1, "in_quarantine": 2})
-
-
-def test_a_killed_worker_is_replaced_and_its_recording_tried_again(real_night: Night) -> None:
-    real_night.add("once", KILL_ONCE)
-    real_night.add("good", 1)
-    summary = real_night.run()
-    assert (summary.exit_code, real_night.counts(summary)) == (0, {"found": 2, "processed": 2})
-    assert real_night.indexed() == {"good.mcap": 1, "once.mcap": 1}
 
 
 def test_a_late_recording_is_given_up(real_night: Night) -> None:
@@ -250,13 +242,13 @@ def _ingest_earlier(result: Path, age: timedelta) -> None:
     result.write_text(json.dumps(value | {"ingested_at": then.isoformat()}))
 
 
-def test_a_detector_that_cannot_be_loaded_ends_the_run(real_night: Night) -> None:
-    real_night.add("a", 1)
-    real_night.stub = MakeStub(real_night.inbox.parent, "none")
-    summary = real_night.run()
-    assert (summary.exit_code, real_night.counts(summary)) == (1, {"found": 1, "left": 1})
+def test_a_detector_that_cannot_be_loaded_ends_the_run(night: Night) -> None:
+    night.add("a", 1)
+    night.stub = MakeStub(night.inbox.parent, "none")
+    summary = night.run()
+    assert (summary.exit_code, night.counts(summary)) == (1, {"found": 1, "left": 1})
     assert summary.error == "no weights named 'none'"
-    assert load_runs(real_night.store) == [summary]
+    assert load_runs(night.store) == [summary]
 
 
 def test_a_store_that_fails_ends_the_run_and_blames_no_recording(night: Night) -> None:

@@ -212,11 +212,13 @@ def _replace_index(
         with duckdb.connect(following, config=CONFIG) as connection:
             create_tables(connection)
             replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
+            connection.begin()  # one by one, each of these statements would wait for the disk
             connection.execute("DELETE FROM runs")
             insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
             refresh(connection, store, [flight.record.flight_id for flight in changed])
             connection.execute(read_schema("views.sql"))
             connection.execute("UPDATE schema_version SET app_version = ?", [app_version()])
+            connection.commit()
             connection.execute("CHECKPOINT")
         fsync_path(following)
         # Not ours, but a log left by someone's own DuckDB would be replayed into the new file.

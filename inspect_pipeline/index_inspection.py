@@ -91,13 +91,12 @@ def load_store_rules(store: Store) -> Rules:
 def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequence[str]) -> None:
     """Bring spans, reviews, tags, coverage and anomalies up to the flights and files of a store.
 
-    Raises RulesError, SpansError, StoreError.
+    In the transaction of the caller. Raises RulesError, SpansError, StoreError.
     """
     digests = input_digests(store)
     known = dict(connection.execute("SELECT name, sha256 FROM inputs").fetchall())
     is_other = any(known.get(name) != digests[name] for name in ("program", "rules", "spans.geojson"))
     spans, rules = load_spans(store), load_store_rules(store)
-    connection.begin()
     _insert_told(connection, store, spans, digests)
     stale = _all_flights(connection) if is_other else list(changed)
     for table in DERIVED_TABLES:
@@ -110,7 +109,6 @@ def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequen
         _insert_counts(connection, flight_id, cameras, spans, rules)
         found = with_ids(flight_id, find_anomalies(cameras, spans, rules), reviews.get(flight_id, []))
         _insert_anomalies(connection, flight_id, found)
-    connection.commit()
 
 
 def inspect_flights(

@@ -6,7 +6,9 @@ import hashlib
 import json
 import math
 import tomllib
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.errors import RulesError
@@ -52,7 +54,7 @@ def load_rules(path: Path | None = None) -> Rules:
     Raises RulesError for a file that cannot be read, an unknown name, or a value of another type or out of
     range.
     """
-    values = tomllib.loads(read_schema("rules.toml"))
+    values = deepcopy(_shipped())
     if path is not None:
         try:
             own = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -63,6 +65,11 @@ def load_rules(path: Path | None = None) -> Rules:
         _replace(values, own, path, ())
         _check_kinds(Rules(**values), path)
     return Rules(**values)
+
+
+@cache
+def _shipped() -> dict[str, Any]:
+    return tomllib.loads(read_schema("rules.toml"))
 
 
 def _check_kinds(rules: Rules, path: Path) -> None:

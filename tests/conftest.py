@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from inspect_pipeline import simulate
-from inspect_pipeline.simulate_ground import TILE_TEXELS
+from inspect_pipeline import simulate, simulate_ground
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,5 +28,15 @@ def data_dir() -> Path:
 def flat_ground() -> Iterator[None]:
     """Simulated flights over bare ground, whose drawing takes no time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulate, "draw_ground", lambda rng: np.full((*TILE_TEXELS, 3), 90, np.uint8))
+        patch.setattr(
+            simulate, "draw_ground", lambda rng: np.full((*simulate_ground.TILE_TEXELS, 3), 90, np.uint8)
+        )
+        yield
+
+
+@pytest.fixture(scope="module")
+def small_ground() -> Iterator[None]:
+    """The drawn ground of simulated flights repeats after a quarter of its area, the road in it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulate_ground, "TILE_TEXELS", (512, 2048))
         yield

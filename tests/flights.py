@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import duckdb
@@ -57,13 +59,23 @@ def frame(frame_idx: int, error: str | None = None, channel_id: int = 1, step: i
 
 def write_rows(folder: Path, flight_id: str, n_frames: int) -> FlightTotals:
     """Frame i has i segments; frame 1 is bad."""
-    with FlightWriter(folder, flight_id) as writer:
+    files, totals = _rows(flight_id, n_frames)
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    return totals
+
+
+@cache
+def _rows(flight_id: str, n_frames: int) -> tuple[dict[str, bytes], FlightTotals]:
+    """The files of rows by their names, which are made once however many tests have the flight."""
+    with TemporaryDirectory() as folder, FlightWriter(Path(folder), flight_id) as writer:
         for i in range(n_frames):
             if i == 1:
                 writer.add_frame(frame(i, "corrupt JPEG"), None)
             else:
                 writer.add_frame(frame(i), detections(i), infer_ms=2.0 + i, sharpness=10.0)
-        return writer.finish()
+        totals = writer.finish()
+        return {path.name: path.read_bytes() for path in Path(folder).iterdir()}, totals
 
 
 def write_flight(store: Store, name: str, n_frames: int = 3) -> str:

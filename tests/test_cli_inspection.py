@@ -10,6 +10,7 @@ import flights as made
 import inspected
 import numpy as np
 import pytest
+from inline_queries import answer_here
 from typer.testing import CliRunner
 
 import cli
@@ -151,7 +152,8 @@ def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
             CliRunner().invoke(cli.app, ["flights", "show", beginning], catch_exceptions=False)
 
 
-def test_named_queries(store: Store) -> None:
+def test_named_queries(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer_here(monkeypatch)
     for name, query in named_queries().items():
         values = [f"--param={parameter}={FAULTY[:8]}" for parameter in query.parameters]
         assert query.purpose

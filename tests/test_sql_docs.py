@@ -50,15 +50,10 @@ def test_every_column_is_documented(store: Store) -> None:
         assert is_view or kind in lines[0], f"{table}.{name} is a {kind}"
 
 
-@pytest.mark.parametrize("damage", ["deleted", "corrupt", "cut"])
-def test_a_remade_index_gives_the_documented_answers(store: Store, tmp_path: Path, damage: str) -> None:
+def test_a_remade_index_gives_the_documented_answers(store: Store, tmp_path: Path) -> None:
     store = Store(shutil.copytree(store.root, tmp_path / "store"))
-    before, whole = answers(store), store.index_path.read_bytes()
-    store.index_path.unlink()
-    if damage == "corrupt":
-        store.index_path.write_bytes(b"\xff" * len(whole))
-    if damage == "cut":
-        store.index_path.write_bytes(whole[: len(whole) // 2])
+    before = answers(store)
+    store.index_path.write_bytes(b"\xff" * store.index_path.stat().st_size)
     index.publish(store)
     assert answers(store) == before
 

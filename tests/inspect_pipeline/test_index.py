@@ -120,6 +120,7 @@ def test_an_empty_flight_and_an_empty_store(tmp_path: Path) -> None:
 
 
 def test_rebuild_gives_the_same_answers(store: Store) -> None:
+    assert index.verify(store) == ()
     flights.write_flight(store, "a", 5)
     index.publish(store)
     before = content(store)
@@ -183,14 +184,11 @@ def test_a_log_that_someone_left_is_not_replayed(store: Store) -> None:
     ],
 )
 def test_verify_finds_any_difference(store: Store, change: str, words: str) -> None:
-    assert index.verify(store) == ()
     with duckdb.connect(store.index_path) as connection:
         connection.execute(change)
     problems = index.verify(store)
     assert problems
     assert all(words in problem for problem in problems)
-    index.rebuild(store)
-    assert index.verify(store) == ()
 
 
 def test_a_damaged_flight_is_told_and_left_out(store: Store) -> None:

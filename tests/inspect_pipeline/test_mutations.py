@@ -8,6 +8,7 @@ import shutil
 import struct
 import time
 from contextlib import suppress
+from functools import cache
 from typing import TYPE_CHECKING
 
 import factories
@@ -237,6 +238,12 @@ def test_an_id_that_is_used_twice(tmp_path: Path, use_chunking: bool) -> None:
     assert use(path, tmp_path / "b.mcap") == 6
 
 
+@cache
+def compressed_zeros(compression: str, n_bytes: int) -> bytes:
+    zeros = bytes(n_bytes)
+    return zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
+
+
 def bomb(tmp_path: Path, compression: str, declared_bytes: int, data: bytes) -> Path:
     """A recording whose only chunk has this data."""
     path = make_recording(tmp_path / "a.mcap", shots(2), index_types=factories.UNINDEXED)
@@ -252,10 +259,7 @@ def bomb(tmp_path: Path, compression: str, declared_bytes: int, data: bytes) -> 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("declared_bytes", [100, 200 << 20, 1 << 40])
 def test_decompression_bombs_take_no_memory(tmp_path: Path, compression: str, declared_bytes: int) -> None:
-    zeros = bytes(300 << 20)
-    data = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
-    del zeros
-    path = bomb(tmp_path, compression, declared_bytes, data)
+    path = bomb(tmp_path, compression, declared_bytes, compressed_zeros(compression, 300 << 20))
     started = time.process_time()
     recording = open_recording(path)
     assert len(recording.losses) == 2  # the chunk, and the missing end
@@ -283,7 +287,6 @@ def test_a_message_of_absurd_length_takes_no_memory(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_a_chunk_of_nothing_but_zeros_is_damage(tmp_path: Path, compression: str) -> None:
-    zeros = bytes(1 << 20)
-    data = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
-    recording = open_recording(bomb(tmp_path, compression, len(zeros), data))
+    data = compressed_zeros(compression, 1 << 20)
+    recording = open_recording(bomb(tmp_path, compression, 1 << 20, data))
     assert "a chunk ends inside a record" in recording.losses[-1]

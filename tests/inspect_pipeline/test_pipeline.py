@@ -185,15 +185,17 @@ def test_batches_are_small_and_progress_is_told(tmp_path: Path, store: Store) ->
     ],
 )
 def test_real_recordings(data_dir: Path, store: Store, name: str, n_frames: int) -> None:
-    source = data_dir / "mcap" / f"{name}.mcap"
-    result = run(source, store)
-    assert (result.status, result.n_frames, result.n_bad_frames) == ("ok", n_frames, 0)
-    assert rows(store, "SELECT count(*), min(width) > 0, min(sharpness) > 0 FROM frames") == [
-        (n_frames, True, True)
+    """Every fourth frame of them, to save time; every message is copied."""
+    result = run(data_dir / "mcap" / f"{name}.mcap", store, every=4)
+    n_taken = -(-n_frames // 4)
+    assert (result.status, result.n_frames, result.n_bad_frames) == ("ok", n_taken, 0)
+    assert rows(store, "SELECT count(*), max(frame_idx), min(width) > 0, min(sharpness) > 0 FROM frames") == [
+        (n_taken, 4 * (n_taken - 1), True, True)
     ]
     with result.annotated.open("rb") as file:
         counts = make_reader(file, validate_crcs=True).get_summary().statistics.channel_message_counts
-    assert list(counts.values()).count(n_frames) >= 3  # the images, and two channels of ours
+    assert n_frames in counts.values()  # the images
+    assert list(counts.values()).count(n_taken) >= 2  # our two channels
 
 
 def test_quality_of_known_pictures() -> None:

@@ -16,6 +16,7 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from mcap.reader import make_reader
 
 import cli
+from inspect_pipeline import simulate_ground
 from inspect_pipeline.errors import OutputError
 from inspect_pipeline.quality import measure_quality
 from inspect_pipeline.recording import open_recording
@@ -35,7 +36,7 @@ OPTIONS = SimulationOptions(seconds=1, fps=2, image_size=(360, 640), seed=3)
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flight(tmp_path_factory: pytest.TempPathFactory, small_ground: None) -> Path:
     path = tmp_path_factory.mktemp("flight") / "demo.mcap"
     assert simulate_flight(path, OPTIONS) == path.with_name("demo.truth.json")
     return path
@@ -196,7 +197,8 @@ def test_what_is_no_photograph_leaves_nothing(
 
 def test_a_tile_of_a_photograph_repeats() -> None:
     tile = lay_photograph(np.random.default_rng(0).integers(0, 256, (30, 40, 3), np.uint8))
-    assert tile.shape == (3072, 4096, 3)
+    width = simulate_ground.TILE_TEXELS[1]
+    assert tile.shape == (width * 3 // 4, width, 3)
     assert np.array_equal(tile[0], tile[-1])
     assert np.array_equal(tile[:, 0], tile[:, -1])
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ FLIGHT = SimulationOptions(seconds=40, fps=4, seed=2)
 ALL_IN_SIGHT = {"L1", "L2", "L3", "N"}
 
 
+@cache
 def fly(*faults: FaultKind, **options: object) -> FlightTruth:
     return simulate_truth(replace(FLIGHT, faults=faults, **options))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -12,6 +14,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from mcap.writer import CompressionType, Writer
 
+from inspect_pipeline.files import appearing
 from inspect_pipeline.protobuf import file_descriptor_set
 from inspect_pipeline.resources import app_version
 
@@ -37,20 +40,18 @@ class MessageSchema(NamedTuple):
 
 @contextmanager
 def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
-    """Write a recording to `target`, which must not exist. Complete on a clean exit, removed on an exception.
+    """Write a recording to `target`, which must not exist. It appears whole, on a clean exit.
 
     `profile` is that of its header, such as "ros2". Raises OSError when the target cannot be written.
     """
-    with target.open("xb") as file:
+    if target.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+    with appearing(target) as path, path.open("wb") as file:
         # Without summary offsets: the package writes empty groups, which checkers take for errors.
         writer = Writer(file, compression=CompressionType.ZSTD, use_summary_offsets=False)
-        try:
-            writer.start(profile=profile, library=f"lsnet-pipe {app_version()}")
-            yield RecordingAuthor(writer)
-            writer.finish()  # type: ignore[no-untyped-call]
-        except BaseException:
-            target.unlink(missing_ok=True)
-            raise
+        writer.start(profile=profile, library=f"lsnet-pipe {app_version()}")
+        yield RecordingAuthor(writer)
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 class RecordingAuthor:

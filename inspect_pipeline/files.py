@@ -6,7 +6,7 @@ import ctypes
 import errno
 import fcntl
 import os
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TextIO
 
 from inspect_pipeline.errors import StoreError
@@ -61,6 +61,21 @@ def fsync_tree(folder: Path) -> None:
     for path in folder.rglob("*"):
         fsync_path(path)
     fsync_path(folder)
+
+
+@contextmanager
+def appearing(target: Path) -> Iterator[Path]:
+    """A name to write to, which becomes `target` at the end of the block, and is gone after an exception.
+
+    Raises OSError.
+    """
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        yield part
+        part.replace(target)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from inspect_pipeline.errors import OutputError, QueryError
+from inspect_pipeline.files import appearing
 from inspect_pipeline.query import run_query
 from inspect_pipeline.recording_frames import iter_frames
 from inspect_pipeline.sources import open_images
@@ -79,7 +80,7 @@ def draw_segments(image: NDArray[np.uint8], endpoints: NDArray[np.float32]) -> N
 
 
 def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write a BGR image as the type its name says. Raises OutputError."""
+    """Write a BGR image, whole or not at all, as the type its name says. Raises OutputError."""
     try:
         is_known, data = cv2.imencode(path.suffix, image)
     except cv2.error:
@@ -87,7 +88,8 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
     if not is_known:
         raise OutputError(path, "no picture has such a name", "end it in .png or .jpg")
     try:
-        path.write_bytes(data.tobytes())
+        with appearing(path) as part:
+            part.write_bytes(data.tobytes())
     except OSError as error:
         raise OutputError(path, f"cannot be written ({error.strerror})", "name another file") from error
 

@@ -7,7 +7,6 @@ SELECT. SQL is code all the same, and so is a database file: open only indexes t
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 from inspect_pipeline.errors import QueryError, StoreError, StoreVersionError
-from inspect_pipeline.files import fsync_path
+from inspect_pipeline.files import appearing, fsync_path
 from inspect_pipeline.resources import MIGRATIONS
 
 if TYPE_CHECKING:
@@ -84,16 +83,12 @@ def run_query(
 @contextmanager
 def _appearing(output: Path) -> Iterator[Path]:
     """A name to write to, which becomes `output` at the end of the block; raises QueryError."""
-    path = output.with_name(f".{output.name}.{os.getpid()}.part")
     try:
-        yield path
-        fsync_path(path)
-        path.replace(output)
+        with appearing(output) as path:
+            yield path
+            fsync_path(path)
     except OSError as error:
         raise QueryError(f"{output}: {error.strerror}; give another file with --output") from error
-    finally:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
 
 
 def _write_file(job: dict[str, Any], timeout_s: float, path: Path) -> None:

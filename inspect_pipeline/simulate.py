@@ -18,6 +18,7 @@ from inspect_pipeline.attitude import YawPitchRoll, to_enu
 from inspect_pipeline.authoring import new_recording
 from inspect_pipeline.authoring_ros2 import Ros2Author
 from inspect_pipeline.errors import OutputError
+from inspect_pipeline.files import appearing
 from inspect_pipeline.simulate_ground import draw_ground, lay_photograph
 from inspect_pipeline.simulate_options import SchemaKind, SimulationOptions
 from inspect_pipeline.simulate_plan import POSE_PERIOD_NS, START_NS, plan_flight
@@ -71,7 +72,8 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     try:
         with new_recording(target, "ros2" if options.schema == SchemaKind.ROS2 else "") as author:
             _fly(Ros2Author(author) if options.schema == SchemaKind.ROS2 else author, plan, truth)
-        truth_path.write_text(json.dumps(_to_json(truth)) + "\n", encoding="utf-8")
+        with appearing(truth_path) as part:
+            part.write_text(json.dumps(_to_json(truth)) + "\n", encoding="utf-8")
     except FileExistsError as error:
         raise OutputError(target, "it exists already", "remove it or name another file") from error
     except OSError as error:

@@ -53,6 +53,16 @@ def test_a_new_recording_is_read_back(tmp_path: Path) -> None:
     }
 
 
+def test_a_recording_appears_whole_and_replaces_none(tmp_path: Path) -> None:
+    path = tmp_path / "new.mcap"
+    with new_recording(path) as author:
+        author.write_image("/camera", 1, "camera", b"", "png")
+        assert not path.exists()
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(FileExistsError), new_recording(path):
+        pass
+
+
 def test_an_exception_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), new_recording(tmp_path / "new.mcap") as author:
         author.write_image("/camera", 1 // 0, "camera", b"", "png")

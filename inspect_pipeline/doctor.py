@@ -47,6 +47,8 @@ def _version_of(package: str) -> str:
 def _examine_store(store: Store) -> Finding:
     if not store.root.exists():
         return Finding("store", f"{store.root}: none yet; lsnet-pipe process makes it")
+    if not store.root.is_dir():
+        return Finding("store", f"{store.root}: a file is where a folder should be", is_ok=False)
     try:
         flights, damaged = store.scan()
     except InspectError as error:

@@ -433,6 +433,7 @@ def test_doctor(run: Callable[..., Outcome], tmp_path: Path) -> None:
     outcome = run("doctor")
     assert outcome.exit_code == 1
     assert "lsnet-pipe index rebuild" in outcome.out
+    assert run("doctor", "--store", "a.mcap").exit_code == 1
 
 
 def test_overlay(run: Callable[..., Outcome], tmp_path: Path) -> None:

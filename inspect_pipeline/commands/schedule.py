@@ -70,4 +70,5 @@ def schedule(
         try:
             (output / name).write_text(text, encoding="utf-8")
         except OSError as error:
-            raise OutputError(output / name, str(error.strerror), "give another folder with -o") from error
+            problem = f"cannot be written ({error.strerror})"
+            raise OutputError(output / name, problem, "give another folder with -o") from error

@@ -14,6 +14,7 @@ import cv2
 import pytest
 from factories import ENCODINGS, Encoding, make_recording, shots
 from fakes import FakeDetector
+from inline_queries import answer_here
 
 import cli
 import lsnet
@@ -56,6 +57,7 @@ def run(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LSNET_PIPE_STORE", str(tmp_path / "store"))
     monkeypatch.setattr(lsnet, "Detector", FakeDetector)
+    answer_here(monkeypatch)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def run(*arguments: object) -> Outcome:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from fakes import FakeDetector
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from inline_queries import answer_here
 from mcap.reader import make_reader
 
 import cli
@@ -57,6 +58,7 @@ def run(
     monkeypatch.chdir(folder)
     monkeypatch.delenv("LSNET_PIPE_STORE", raising=False)
     monkeypatch.setattr(lsnet, "Detector", FakeDetector)
+    answer_here(monkeypatch)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def run(*arguments: str) -> str:

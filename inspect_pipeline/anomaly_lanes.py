@@ -143,9 +143,10 @@ def _place_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Fl
     order = np.argsort(bins, kind="stable")
     edges = np.flatnonzero(np.diff(bins[order])) + 1
     for group in np.split(order, edges) if len(order) else ():
+        if len(group) < rules.anomalies["min_views"]:
+            continue
         low, middle, high = np.quantile(across_m[group], (0.1, 0.5, 0.9))
-        is_enough = len(group) >= rules.anomalies["min_views"]
-        if is_enough and high - low <= rules.of("conductors_converging")["max_spread_m"]:
+        if high - low <= rules.of("conductors_converging")["max_spread_m"]:
             medians[bins[group[0]]] = middle
     return medians
 

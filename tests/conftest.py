@@ -6,6 +6,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy and torch: pytest-xdist has a worker a core
+
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +16,8 @@ from inspect_pipeline import simulate, simulate_ground
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+cv2.setNumThreads(1)
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from inspect_pipeline import index
 from inspect_pipeline.store import Store
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 TEXT = documented.DOCUMENT.read_text(encoding="utf-8")
@@ -22,8 +23,11 @@ SECTIONS = dict(re.findall(r"^### (\w+)\n(.*?)(?=^##)", TEXT, re.DOTALL | re.MUL
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    return documented.make_store(tmp_path_factory.mktemp("store"))
+def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
+    """Its index stays open, so that each question need not wait for that."""
+    store = documented.make_store(tmp_path_factory.mktemp("store"))
+    with duckdb.connect(store.index_path, read_only=True):
+        yield store
 
 
 @pytest.mark.parametrize(("sql", "shown"), QUESTIONS)

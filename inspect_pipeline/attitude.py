@@ -52,7 +52,8 @@ class Attitude(NamedTuple):
 def position(latitude_deg: float, longitude_deg: float, altitude_m: float) -> Position | None:
     """A position; None for one that is nowhere, or at 0, 0, as receivers say that have no fix."""
     is_somewhere = abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg or longitude_deg)
-    return Position(float(latitude_deg), float(longitude_deg), float(altitude_m)) if is_somewhere else None
+    known_m = float(altitude_m) if math.isfinite(altitude_m) else math.nan
+    return Position(float(latitude_deg), float(longitude_deg), known_m) if is_somewhere else None
 
 
 def from_ned(rotation: Quaternion) -> YawPitchRoll | None:

@@ -8,6 +8,7 @@ by field name, as px4_msgs or as JSON from a ULog.
 from __future__ import annotations
 
 import json
+import math
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -114,7 +115,7 @@ def _pose(frame_id: str, rotation: Quaternion, is_camera: bool, place: Sequence[
 
 def _height_m(place: Sequence[float]) -> float | None:
     """How high x, y, z are; None at the origin, where those put everything that tell rotations only."""
-    return float(place[2]) if any(place) else None
+    return float(place[2]) if any(place) and math.isfinite(place[2]) else None
 
 
 def _protobuf_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:

@@ -287,6 +287,18 @@ def test_messages_that_say_nothing_are_passed_over(tmp_path: Path, row: Row) -> 
     assert write(tmp_path / "a.mcap", [row]).at(START_NS + SECOND_NS) is None
 
 
+@pytest.mark.parametrize("no_height_m", [math.inf, -math.inf, math.nan])
+def test_heights_without_end_are_not_known(tmp_path: Path, no_height_m: float) -> None:
+    pose = {"position": {"x": 1.0, "z": no_height_m}, "orientation": {"w": 1.0}}
+    rows = [
+        json_row("/fix", "foxglove.LocationFix", latitude=1.0, longitude=5.0, altitude=no_height_m),
+        json_row("/pose", "foxglove.PoseInFrame", frame_id="map", pose=pose),
+    ]
+    found = write(tmp_path / "a.mcap", rows).at(START_NS + 2 * SECOND_NS)
+    assert found is not None
+    assert (found.latitude_deg, found.altitude_m, found.height_m, found.yaw_deg) == (1.0, None, None, 90.0)
+
+
 def test_the_pose_is_the_last_one_known_and_its_age_that_of_its_oldest_part(tmp_path: Path) -> None:
     rows = [
         json_row("/fix", "foxglove.LocationFix", latitude=1.0, longitude=5.0),

@@ -27,6 +27,7 @@ from inspect_pipeline.commands.options import (
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
+    from inspect_pipeline.errors import InspectError
     from inspect_pipeline.types import ProcessResult
 
 _ROW = (
@@ -117,14 +118,10 @@ def process(
         try:
             results.append(process_one(path))
             _warn(results[-1])
-        except InspectError as error:
-            typer.echo(f"error: {error}", err=True)
-            n_failed, exit_code = n_failed + 1, error.exit_code
+        except (InspectError, OSError) as error:
+            n_failed, exit_code = n_failed + 1, _tell(path, error)
             if isinstance(error, StoreError):  # the next recording would fail alike
                 break
-        except OSError as error:  # it vanished, or its disk fails
-            typer.echo(f"error: {path}: {error.strerror or error}; check the disk and its rights", err=True)
-            n_failed, exit_code = n_failed + 1, 1
     if any(result.status != "skipped" for result in results):
         save_run(
             the_store,
@@ -145,12 +142,21 @@ def _those_that_are_there(files: list[Path]) -> tuple[list[Path], int]:
     for path in files:
         try:
             check_source(path)
-        except InspectError as error:
-            typer.echo(f"error: {error}", err=True)
-            exit_code = error.exit_code
+        except (InspectError, OSError) as error:
+            exit_code = _tell(path, error)
         else:
             there.append(path)
     return there, exit_code
+
+
+def _tell(path: Path, error: InspectError | OSError) -> int:
+    """Tell why a recording fails, also when it vanishes or its disk fails; the exit code."""
+    if isinstance(error, OSError):
+        told, exit_code = f"{path}: {error.strerror or error}; check the disk and its rights", 1
+    else:
+        told, exit_code = str(error), error.exit_code
+    typer.echo(printable(f"error: {told}"), err=True)
+    return exit_code
 
 
 def _warn(result: ProcessResult) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
-from lsnet.errors import LSNetError
+from lsnet.files import make_folder
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import Sample, SyntheticScenes
 
@@ -44,10 +44,7 @@ def draw_set(
 
     backgrounds: DIR or DIR:FIRST. Raises LSNetError for folders without images or one that cannot be made.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as err:
-        raise LSNetError(f"{folder}: cannot be made a folder ({err.strerror}); name another") from err
+    make_folder(folder)
     if (folder / LINES_FILE).exists():
         return
     scenes = SyntheticScenes(

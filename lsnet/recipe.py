@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lsnet.checkpoints import load_checkpoint
+from lsnet.checkpoints import LAST_KEYS, load_checkpoint
 from lsnet.errors import LSNetError
 from lsnet.labelled import LabelledScenes, load_labels
 from lsnet.model import LSNet, LSNetConfig
@@ -70,19 +70,23 @@ def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
 def export_run(run: Path, output: Path, name: str, min_score: float, metrics: Path | None) -> str:
     """Write the averaged weights of a run with the least validation loss; the sha256 of the file.
 
-    Raises LSNetError when the folder holds no finished validation or the metrics are no JSON lines.
+    Raises LSNetError when the folder holds no finished validation, or checkpoints of two networks, or the
+    metrics are no JSON lines.
     """
     if not (run / "best.pt").is_file() or not (run / "last.pt").is_file():
         raise LSNetError(f"{run}: no best.pt and last.pt in it; train a run to its first validation")
     best = load_checkpoint(run / "best.pt")
-    recipe: dict[str, Any] = load_checkpoint(run / "last.pt")["recipe"]
+    recipe: dict[str, Any] = load_checkpoint(run / "last.pt", LAST_KEYS)["recipe"]
     try:
         measured = [json.loads(line) for line in metrics.read_text().splitlines()] if metrics else []
     except (OSError, ValueError) as err:
         raise LSNetError(f"{metrics}: not the output of lsnet-pipe model eval --json") from err
-    config = LSNetConfig(**recipe.pop("network"))
-    net = LSNet(config)
-    net.load_state_dict(best["average"])
+    try:
+        config = LSNetConfig(**recipe.pop("network"))
+        net = LSNet(config)
+        net.load_state_dict(best["average"])
+    except (LookupError, TypeError, RuntimeError) as err:
+        raise LSNetError(f"{run}: best.pt is not of the network of last.pt; train it again") from err
     card = WeightsCard(
         name=name,
         preset=recipe["preset"],

@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from lsnet.checkpoints import load_checkpoint, save_checkpoint
+from lsnet.checkpoints import LAST_KEYS, load_checkpoint, save_checkpoint
 from lsnet.errors import LSNetError
+from lsnet.files import make_folder
 from lsnet.grid import GridCoder
 from lsnet.losses import Losses, MultiTaskLoss
 from lsnet.model import PRESETS, LSNet, LSNetConfig
@@ -152,10 +153,7 @@ class Trainer:
         )
         self.loss = loss or MultiTaskLoss()
         self.step, self.best_loss, self.bad_validations = 0, math.inf, 0
-        try:
-            run_dir.mkdir(parents=True, exist_ok=True)
-        except OSError as err:
-            raise LSNetError(f"{run_dir}: cannot be made a folder ({err.strerror}); name another") from err
+        make_folder(run_dir)
         if (run_dir / "last.pt").exists():
             self._restore()
         elif start:
@@ -166,7 +164,10 @@ class Trainer:
     def run(
         self, samples: SampleSource, validation: SampleSource, report: Callable[[Progress], None]
     ) -> None:
-        """Train to the last step or until validation stops improving; `report` is called now and then."""
+        """Train to the last step or until validation stops improving; `report` is called now and then.
+
+        Raises LSNetError when the loss grows beyond all bounds or a checkpoint cannot be written.
+        """
         config = self.config
         if self.step >= config.steps or self.bad_validations >= config.patience:
             return
@@ -179,6 +180,8 @@ class Trainer:
                 report(progress)
                 continue
             loss = self.validate(validation_batches)
+            if not math.isfinite(loss):
+                raise LSNetError(f"{self.run_dir}: the loss grew beyond all bounds; lower --learning-rate")
             report(replace(progress, validation_loss=loss))
             self._log(replace(progress, validation_loss=loss))
             self._keep(loss)
@@ -242,9 +245,8 @@ class Trainer:
     def _keep(self, loss: float) -> None:
         if loss < self.best_loss:
             self.best_loss, self.bad_validations = loss, 0
-            save_checkpoint(
-                {"average": self.average.state_dict(), "step": self.step}, self.run_dir / "best.pt"
-            )
+            best = {"average": self.average.state_dict(), "step": self.step}
+            save_checkpoint(best, self.run_dir / "best.pt")
         else:
             self.bad_validations += 1
         save_checkpoint(self._state(), self.run_dir / "last.pt")
@@ -270,22 +272,26 @@ class Trainer:
             else:
                 state = slim(load_weights(start).net, self.net.config).state_dict()
             self.net.load_state_dict(state)
-        except (KeyError, RuntimeError, ValueError) as err:
+        except (RuntimeError, ValueError) as err:
             raise LSNetError(
                 f"{start}: not weights of a {self.config.preset} network or a wider one; give some of those"
             ) from err
 
     def _restore(self) -> None:
-        state = load_checkpoint(self.run_dir / "last.pt")
+        path = self.run_dir / "last.pt"
+        state = load_checkpoint(path, LAST_KEYS)
         ours = self._recipe()
         changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
         if changed:
             raise LSNetError(
                 f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another --run folder"
             )
-        self.net.load_state_dict(state["net"])
-        self.average.load_state_dict(state["average"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        try:
+            self.net.load_state_dict(state["net"])
+            self.average.load_state_dict(state["average"])
+            self.optimizer.load_state_dict(state["optimizer"])
+        except (LookupError, RuntimeError, ValueError) as err:
+            raise LSNetError(f"{path}: damaged or of another version; give another --run folder") from err
         self.step, self.best_loss = state["step"], state["best_loss"]
         self.bad_validations = state["bad_validations"]
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
+from lsnet.files import make_folder
 from lsnet.synth.backgrounds import BackgroundFolder, load_rgb
 
 if TYPE_CHECKING:
@@ -28,10 +29,7 @@ def mine(detector: Detector, backgrounds: Sequence[str], output: Path) -> Iterat
     backgrounds: DIR or DIR:FIRST. Raises LSNetError for folders without images or one that cannot be
     written.
     """
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as err:
-        raise LSNetError(f"{output}: cannot be made a folder ({err.strerror}); name another") from err
+    make_folder(output)
     for text in backgrounds:
         folder = BackgroundFolder.parse(text)
         for file in folder.files():

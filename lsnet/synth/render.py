@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
+from lsnet.files import make_folder
 from lsnet.synth.conductors import Camera, Hang, strands
 from lsnet.synth.hardware import insulators, lattice_tower, pole, triple
 
@@ -282,10 +283,7 @@ def render_many(
     maps = sorted(lights.glob("*.hdr")) if lights else []
     if lights and not maps:
         raise LSNetError(f"{lights}: no .hdr files in it; give a folder of environment maps")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as err:
-        raise LSNetError(f"{folder}: cannot be made a folder ({err.strerror}); name another") from err
+    make_folder(folder)
     task = partial(render_one, folder=folder, lights=maps, size=size, seed=seed)
     if workers == 1:
         for index in range(count):

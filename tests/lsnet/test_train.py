@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ import torch
 from nets import TINY
 
 from lsnet import model, train
+from lsnet.checkpoints import load_checkpoint, save_checkpoint
 from lsnet.errors import LSNetError
 from lsnet.recipe import TrainingData, export_run, open_sources
 from lsnet.synth.dataset import Sample
@@ -199,6 +201,38 @@ def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
         Trainer(QUICK, tmp_path / "file")
 
 
+def test_a_run_with_a_strange_checkpoint_is_one_line(tmp_path: Path) -> None:
+    Trainer(replace(QUICK, steps=1), tmp_path).run(Strokes(), Strokes(), quiet)
+    last = torch.load(tmp_path / "last.pt")
+    for strange in (torch.zeros(3), {"a": 1}, last | {"net": {}}, last | {"optimizer": {}}):
+        torch.save(strange, tmp_path / "last.pt")
+        with pytest.raises(LSNetError, match=r"last\.pt: (not a checkpoint|damaged or of another version)"):
+            Trainer(replace(QUICK, steps=1), tmp_path)
+
+
+@pytest.mark.parametrize("byte", [0x00, 0x2E, 0x52, 0xC4])
+def test_a_checkpoint_with_a_damaged_byte_is_one_line_or_read(tmp_path: Path, byte: int) -> None:
+    path = tmp_path / "best.pt"
+    save_checkpoint({"average": {"weight": torch.zeros(2)}, "step": 3}, path)
+    whole = path.read_bytes()
+    for at in range(0, len(whole), 7):
+        path.write_bytes(whole[:at] + bytes([byte]) + whole[at + 1 :])
+        with contextlib.suppress(LSNetError):
+            load_checkpoint(path)
+
+
+def test_a_checkpoint_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LSNetError, match=r"best\.pt: cannot be written; make room"):
+        save_checkpoint({}, tmp_path / "none/best.pt")
+
+
+def test_a_run_that_loses_itself_is_one_line(tmp_path: Path) -> None:
+    trainer = Trainer(replace(QUICK, learning_rate=1e30), tmp_path)
+    with pytest.raises(LSNetError, match="the loss grew beyond all bounds; lower --learning-rate"):
+        trainer.run(Strokes(), Strokes(), quiet)
+    assert not (tmp_path / "best.pt").exists()
+
+
 def test_learning_rate_warms_up_and_cools_down() -> None:
     config = TrainConfig(steps=1000, warmup_steps=100, learning_rate=1.0)
     assert learning_rate_at(0, config) == pytest.approx(0.01)
@@ -230,6 +264,9 @@ def test_export_of_what_is_no_run_is_one_line(tmp_path: Path) -> None:
         export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, tmp_path / "metrics")
     with pytest.raises(LSNetError, match="cannot be written"):
         export_run(tmp_path / "run", tmp_path / "none/x.safetensors", "mine", 0.4, None)
+    torch.save({"average": {}, "step": 1}, tmp_path / "run/best.pt")
+    with pytest.raises(LSNetError, match=r"run: best\.pt is not of the network of last\.pt"):
+        export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
 
 
 def test_training_and_validation_never_share_a_drawn_image() -> None:

@@ -106,6 +106,8 @@ def _parse_summary(section: bytes) -> Summary:
         elif isinstance(record, ChunkIndex):
             summary.chunks[record.chunk_start_offset] = record
         elif isinstance(record, Statistics):
+            # Some writers leave the counts of channels out, which says that they are not known.
             n_messages = sum(record.channel_message_counts.values())
-            summary.statistics = record if n_messages <= _MAX_MESSAGES else None
+            is_known = n_messages == record.message_count <= _MAX_MESSAGES
+            summary.statistics = record if is_known else None
     return summary

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import factories
@@ -8,6 +9,7 @@ import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording, number_of, shots
 from fakes import FakeDetector
 from mcap.reader import NonSeekingReader
+from mcap.records import Statistics
 from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline import index
@@ -20,6 +22,8 @@ from inspect_pipeline.store import Store
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from mcap.data_stream import RecordBuilder
 
 WRITERS = {
     "mcap": {},
@@ -106,6 +110,22 @@ def test_message_counts_need_no_statistics(tmp_path: Path, name: str) -> None:
     path = make_recording(tmp_path / "flight.mcap", shots(6), **{**WRITERS[name], "use_statistics": False})
     counts = {c.topic: c.message_count for c in open_recording(path).channels}
     assert counts == {CAMERA: 6, "/gps": 12}
+
+
+@pytest.mark.parametrize("name", ["mcap", "unchunked", "unindexed"])
+def test_statistics_without_the_counts_of_channels(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An empty map says that they are not available, as the specification has it."""
+    whole = Statistics.write
+
+    def write(self: Statistics, stream: RecordBuilder) -> None:
+        whole(replace(self, channel_message_counts={}), stream)
+
+    monkeypatch.setattr(Statistics, "write", write)
+    recording = open_recording(make_recording(tmp_path / "flight.mcap", shots(6), **WRITERS[name]))
+    assert [camera.topic for camera in recording.camera_channels] == [CAMERA]
+    assert recording.message_counts().total() == 18
 
 
 @pytest.mark.parametrize("name", ["mcap", "unchunked", "unindexed", "one big chunk"])

@@ -7,6 +7,7 @@ table, `_RAW`.
 
 from __future__ import annotations
 
+import logging
 import struct
 import warnings
 import zlib
@@ -34,12 +35,10 @@ _SMALL_PIXELS = 4 << 20
 _JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 _JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
-
-cv2.utils.logging.setLogLevel(
-    cv2.utils.logging.LOG_LEVEL_SILENT
-)  # what is wrong with an image stands in its frame
-# Pillow may warn of what is below our own limits.
-warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
+# What is wrong with an image stands in its frame; neither library needs to tell it to stderr.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+logging.getLogger("PIL").setLevel(logging.CRITICAL + 1)
+warnings.filterwarnings("ignore", module="PIL")
 
 
 class _Raw(NamedTuple):

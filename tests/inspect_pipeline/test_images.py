@@ -267,6 +267,16 @@ def test_a_damaged_png_is_found_quietly(capfd: pytest.CaptureFixture[str]) -> No
     assert capfd.readouterr().err == ""
 
 
+def test_a_damaged_tiff_is_found_quietly(caplog: pytest.LogCaptureFixture) -> None:
+    """Pillow would tell its logger, which without another reader tells stderr."""
+    damaged = bytearray(encoded_picture(1, ".tiff"))
+    at = damaged.index(struct.pack("<HHI", 277, 3, 1))  # samples per pixel
+    damaged[at + 8] = 241
+    with pytest.raises(ImageError):
+        decode(message(bytes(damaged)))
+    assert caplog.records == []
+
+
 def test_video_is_known_by_its_first_bytes_and_is_no_image() -> None:
     payload = factories.ros2_cdr(0, "", b"\0\0\0\1\x67" + b"x" * 50)
     parsed = parse("sensor_msgs/msg/CompressedImage", "cdr", memoryview(payload))

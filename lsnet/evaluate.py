@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from lsnet.errors import LSNetError
 from lsnet.metrics import THRESHOLDS, PixelScore, pixel_counts, pixel_scores
 from lsnet.segmap import confidence_map
 from lsnet.synth.backgrounds import load_rgb
@@ -98,11 +97,9 @@ def evaluate(
     best_scores = []
     for path in files:
         segments = used(detector.detect([load_rgb(path)])[0], use)
-        best_scores.append(float(segments.scores.max(initial=0.0)))
+        best_scores.append(float(segments.scores.max(initial=-1.0)))  # -1: nothing told
         if kind != "plain":
-            truth, confidence = load_truth(kind, path), confidence_map(segments)
-            if truth.mask.shape != confidence.shape:
-                raise LSNetError(f"{path}: its truth is of another size; give one as large as the image")
+            truth, confidence = load_truth(kind, path, segments.image_size), confidence_map(segments)
             for tolerance in tolerances_px:
                 counts[tolerance].append(pixel_counts(confidence, truth, tolerance, thresholds))
         on_image()

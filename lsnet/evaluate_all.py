@@ -51,7 +51,11 @@ class EvalTask:
         """How many images will be looked at. Raises LSNetError for a folder without, or nothing to do."""
         if not self.folders and not self.synthetic:
             raise LSNetError("nothing to evaluate on; give folders of images, or --synthetic")
-        return sum(len(images_of(folder)[1]) for folder in self.folders) * (1 + self.paper) + self.synthetic
+        count = self.synthetic
+        for folder in self.folders:
+            kind, files = images_of(folder)
+            count += len(files) * (2 if self.paper and kind != "plain" else 1)
+        return count
 
 
 def open_finder(weights: str, runtime: str, rival: str | None, grids: str = "MHVC") -> tuple[Finder, float]:

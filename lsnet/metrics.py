@@ -56,11 +56,14 @@ def _distance_to(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
 def pixel_counts(
     confidence: NDArray[np.float32], truth: PixelTruth, tolerance_px: float, thresholds: NDArray[np.floating]
 ) -> NDArray[np.int64]:
-    """(T, 4) at each threshold: right and all drawn pixels, found and all centreline pixels."""
+    """(T, 4) at each threshold: right and all drawn pixels, found and all centreline pixels.
+
+    What has no score is not drawn, at a threshold of 0 either.
+    """
     is_near_cable = _distance_to(truth.mask) <= tolerance_px
     counts = np.zeros((len(thresholds), 4), np.int64)
     for i, threshold in enumerate(thresholds):
-        drawn = confidence >= threshold
+        drawn = (confidence >= threshold) & (confidence > 0)
         found = truth.centreline & (_distance_to(drawn) <= tolerance_px + truth.half_width_px)
         counts[i] = [(drawn & is_near_cable).sum(), drawn.sum(), found.sum(), truth.centreline.sum()]
     return counts

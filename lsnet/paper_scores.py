@@ -71,7 +71,7 @@ def evaluate_as_paper(
 ) -> list[PaperScore]:
     """Scores of a folder for each width and both ways; none for a folder without pixel truth.
 
-    Raises LSNetError when the folder holds no images or a truth is missing.
+    Raises LSNetError when the folder holds no images, or a truth is missing or of another size.
     """
     kind, files = images_of(folder)
     if kind == "plain":
@@ -79,7 +79,8 @@ def evaluate_as_paper(
     ways: list[tuple[int, Binarised]] = [(w, how) for how in ("otsu", "0.5") for w in WIDTHS_PX]
     counts = np.zeros((len(files), len(ways), 4), np.int64)
     for i, path in enumerate(files):
-        segments, mask = used(finder.detect([load_rgb(path)])[0], use), load_truth(kind, path).mask
+        segments = used(finder.detect([load_rgb(path)])[0], use)
+        mask = load_truth(kind, path, segments.image_size).mask
         for k, (width_px, how) in enumerate(ways):
             said = segmentation(segments, width_px, how)
             right = int((said & mask).sum())

@@ -42,8 +42,11 @@ def images_of(folder: Path) -> tuple[Kind, list[Path]]:
     return kind, files
 
 
-def load_truth(kind: Kind, image: Path) -> PixelTruth:
-    """The truth of one image of a set with pixel truth. Raises LSNetError when its file is missing."""
+def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTruth:
+    """The truth of one image, of (height, width), of a set with pixel truth.
+
+    Raises LSNetError when its file is missing or of another size.
+    """
     if kind == "contours":
         path = image.with_name(f"{image.stem}.boundary.png")
     else:
@@ -52,6 +55,8 @@ def load_truth(kind: Kind, image: Path) -> PixelTruth:
         drawn = np.asarray(load_rgb(path).max(axis=2) > 0)
     except LSNetError as err:
         raise LSNetError(f"{path}: missing or not an image; every image of the set needs its truth") from err
+    if drawn.shape != image_size:
+        raise LSNetError(f"{path}: not of the size of its image; give a truth as large as {image.name}")
     return _from_contours(drawn) if kind == "contours" else _from_mask(drawn)
 
 

@@ -98,11 +98,13 @@ def test_images_without_truth_are_told_by_the_share_reported(tmp_path: Path) -> 
     assert report.reported == {0.2: 0.5, 0.3: 0.5, 0.5: 0.25, 0.7: 0.25, 0.9: 0.0}
     assert "50.0% at score 0.2" in str(report)
     json.dumps(report.to_dict())
+    (nothing,) = evaluate(Says(lambda _image: []), tmp_path, min_score=0.0)
+    assert nothing.reported[0.0] == 0
 
 
 def test_a_truth_of_another_size_is_one_line(tmp_path: Path) -> None:
     cv2.imwrite(str(write_set(tmp_path) / "masks/a.png"), np.zeros((30, 40), np.uint8))
-    with pytest.raises(LSNetError, match=r"a\.png: its truth is of another size"):
+    with pytest.raises(LSNetError, match=r"a\.png: not of the size of its image"):
         pixel_reports(tmp_path, lambda _image: [])
 
 

@@ -61,6 +61,11 @@ def test_thresholds_include_their_own_score() -> None:
     assert found[:, 1].tolist() == [50, 50, 0]
 
 
+def test_what_has_no_score_is_not_drawn_at_a_threshold_of_zero() -> None:
+    found = pixel_counts(horizontal(20, 0.1), truth(), 1.0, np.array([0.0]))
+    assert found.tolist() == [[50, 50, 50, 50]]
+
+
 def test_an_image_without_cables_has_only_false_pixels() -> None:
     nothing = np.zeros((40, 50), bool)
     found = pixel_counts(horizontal(3), PixelTruth(nothing, nothing, nothing.astype(np.float32)), 1.0, HALF)

@@ -67,7 +67,7 @@ def test_the_centreline_of_a_pair_of_contours(tmp_path: Path) -> None:
     write(tmp_path / "7.boundary.png", contours(40, 48) * 255)
     kind, files = images_of(tmp_path)
     assert (kind, files) == ("contours", [image])
-    truth = load_truth(kind, image)
+    truth = load_truth(kind, image, (100, 120))
     assert columns_of(truth.mask) == list(range(40, 49))
     assert np.flatnonzero(truth.centreline[50]).tolist() == [44]
     assert truth.centreline.sum() == pytest.approx(100, abs=10)
@@ -80,7 +80,7 @@ def test_masks_lie_beside_the_images(tmp_path: Path) -> None:
     write(tmp_path / "masks/a.png", mask)  # ones, not 255
     kind, files = images_of(tmp_path)
     assert (kind, files) == ("masks", [image])
-    truth = load_truth(kind, image)
+    truth = load_truth(kind, image, (60, 80))
     np.testing.assert_array_equal(truth.mask, mask)
     assert np.flatnonzero(truth.centreline[:, 40]).tolist() == [32]
     assert truth.half_width_px[32, 40] == pytest.approx(3, abs=0.1)
@@ -102,8 +102,8 @@ def test_no_images_is_one_line(tmp_path: Path) -> None:
 def test_a_missing_or_damaged_truth_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     image = write(tmp_path / "7.jpg", np.zeros((10, 10, 3)))
     with pytest.raises(LSNetError, match=r"7\.boundary\.png: missing or not an image"):
-        load_truth("contours", image)
+        load_truth("contours", image, (10, 10))
     (tmp_path / "7.boundary.png").write_bytes(b"no image")
     with pytest.raises(LSNetError, match=r"7\.boundary\.png: missing or not an image"):
-        load_truth("contours", image)
+        load_truth("contours", image, (10, 10))
     assert capfd.readouterr().err == ""

@@ -38,7 +38,7 @@ class BackgroundFolder:
     def parse(cls, text: str) -> BackgroundFolder:
         """From DIR or DIR:FIRST."""
         head, _, tail = text.rpartition(":")
-        return cls(Path(head), int(tail)) if head and tail.isdigit() else cls(Path(text))
+        return cls(Path(head), int(tail)) if head and tail.isdecimal() else cls(Path(text))
 
     def __str__(self) -> str:
         return f"{self.path.name}, first {self.first}" if self.first else self.path.name
@@ -58,18 +58,18 @@ def load_rgb(path: Path) -> NDArray[np.uint8]:
 
     Raises LSNetError when the file is not an image.
     """
+    is_radiance = path.suffix.lower() == ".hdr"
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
-    if path.suffix.lower() == ".hdr":
-        flags = cv2.IMREAD_UNCHANGED
+    flags |= cv2.IMREAD_ANYDEPTH if is_radiance else 0
     try:
         image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
     except (OSError, cv2.error) as err:
         raise LSNetError(f"{path}: cannot be read as an image; give a JPEG, PNG or the like") from err
     if image is None:
         raise LSNetError(f"{path}: cannot be read as an image; give a JPEG, PNG or the like")
-    if path.suffix.lower() == ".hdr":
+    if is_radiance:
         bright = max(float(np.percentile(image, 90)), 1e-6)
-        image = np.clip((image[..., ::-1] / bright) ** (1 / 2.2) * 220, 0, 255).astype(np.uint8)
+        image = np.clip((image / bright) ** (1 / 2.2) * 220, 0, 255).astype(np.uint8)
     return np.ascontiguousarray(image)
 
 
@@ -100,7 +100,7 @@ def cut_out(photo: NDArray[np.uint8], rng: Rng, size: int) -> Image:
     """A random square of a photograph at a random scale, turned by quarter turns and mirrored."""
     short = min(photo.shape[:2])
     low, high = min(0.5 * short, 90), min(short, 3.0 * size)
-    side = int(np.exp(rng.uniform(np.log(low), np.log(high))))
+    side = max(1, int(np.exp(rng.uniform(np.log(low), np.log(high)))))
     y, x = rng.integers(photo.shape[0] - side + 1), rng.integers(photo.shape[1] - side + 1)
     square = np.rot90(photo[y : y + side, x : x + side], int(rng.integers(4)))
     if rng.random() < 0.5:

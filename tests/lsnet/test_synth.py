@@ -265,6 +265,7 @@ def test_background_folders_as_written_on_the_command_line(tmp_path: Path) -> No
     write_photos(tmp_path / "odd:name")
     assert len(BackgroundFolder.parse(f"{tmp_path}/odd:name").files()) == 4
     assert str(BackgroundFolder.parse("x/a:2")) == "a, first 2"
+    assert BackgroundFolder.parse("a:²").path.name == "a:²"
 
 
 def test_background_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
@@ -295,6 +296,12 @@ def test_cuts_hold_what_the_photograph_holds() -> None:
         cut = cut_out(image, rng(seed), 96)
         assert cut.shape == (96, 96, 3)
         assert np.median(cut[..., 1]) == pytest.approx(77, abs=1)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (2, 2)])
+def test_photographs_of_a_few_pixels_are_drawn_on_too(size: tuple[int, int]) -> None:
+    for seed in range(5):
+        assert cut_out(np.zeros((*size, 3), np.uint8), rng(seed), 32).shape == (32, 32, 3)
 
 
 def test_plain_grounds_are_of_any_brightness() -> None:
@@ -332,6 +339,9 @@ def test_radiance_maps_are_tone_mapped(tmp_path: Path) -> None:
     assert (image.shape, image.dtype) == ((16, 32, 3), np.uint8)
     assert image[0, 31, 0] > image[0, 31, 1] > image[0, 31, 2]
     assert 0 < image[0, 0, 0] < 255
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((16, 32), 90, np.uint8))
+    (tmp_path / "grey.png").rename(tmp_path / "misnamed.hdr")
+    assert load_rgb(tmp_path / "misnamed.hdr").shape == (16, 32, 3)
 
 
 def test_vegetation_has_more_contrast_within_a_few_pixels_than_plain_ground() -> None:

@@ -1,13 +1,18 @@
-"""Folders that commands write into."""
+"""What commands write, and where to."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
+
 from lsnet.errors import LSNetError
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def make_folder(folder: Path) -> None:
@@ -16,3 +21,10 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as err:
         raise LSNetError(f"{folder}: cannot be made a folder ({err.strerror}); name another") from err
+
+
+def write_png(path: Path, image: NDArray[np.uint8]) -> None:
+    """Write uint8 (H, W, 3) RGB or (H, W, 4) RGB and alpha. Raises LSNetError when it cannot be written."""
+    as_opencv = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
+    if not cv2.imwrite(str(path), cv2.cvtColor(image, as_opencv)):
+        raise LSNetError(f"{path}: cannot be written; name another folder")

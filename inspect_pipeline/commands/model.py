@@ -260,11 +260,11 @@ def mine(
     Example: lsnet-pipe model train --run runs/b --start fast --background photos:500 --background hard
     """
     from lsnet import Detector
-    from lsnet.synth.mining import count_photos, mine
+    from lsnet.synth.mining import mine, named_photos
 
     detector = Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)
     n_squares = 0
-    with progress_bar("mine", count_photos(background or ())) as advance:
+    with progress_bar("mine", len(named_photos(background or ()))) as advance:
         for found in mine(detector, background or (), output):
             n_squares += found
             advance(f"{n_squares} squares")

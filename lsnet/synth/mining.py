@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
-from lsnet.files import make_folder
+from lsnet.files import make_folder, write_png
 from lsnet.synth.backgrounds import BackgroundFolder, load_rgb
 
 if TYPE_CHECKING:
@@ -26,25 +25,31 @@ SQUARE_PX = 512  # of the network's image; a training image is cut out of it
 def mine(detector: Detector, backgrounds: Sequence[str], output: Path) -> Iterator[int]:
     """Write the squares of one photograph after the other as PNG; how many each of them gave.
 
-    backgrounds: DIR or DIR:FIRST. Raises LSNetError for folders without images or one that cannot be
+    backgrounds: DIR or DIR:FIRST. Raises LSNetError as `named_photos` does, and for a folder that cannot be
     written.
     """
     make_folder(output)
-    for text in backgrounds:
-        folder = BackgroundFolder.parse(text)
+    for name, file in named_photos(backgrounds).items():
+        squares = hard_squares(load_rgb(file), detector)
+        for i, square in enumerate(squares):
+            write_png(output / f"{name}_{i:03d}.png", square)
+        yield len(squares)
+
+
+def named_photos(backgrounds: Sequence[str]) -> dict[str, Path]:
+    """Photographs by what the names of their squares begin with: folder and file.
+
+    Raises LSNetError for folders without images, or when the squares of two photographs would replace each
+    other.
+    """
+    named: dict[str, Path] = {}
+    for folder in map(BackgroundFolder.parse, backgrounds):
         for file in folder.files():
-            photo = load_rgb(file)
-            squares = hard_squares(photo, detector)
-            for i, square in enumerate(squares):
-                name = output / f"{folder.path.name}_{file.stem}_{i:03d}.png"
-                if not cv2.imwrite(str(name), square[..., ::-1]):
-                    raise LSNetError(f"{name}: cannot be written; name another folder")
-            yield len(squares)
-
-
-def count_photos(backgrounds: Sequence[str]) -> int:
-    """How many photographs `mine` looks at. Raises LSNetError for folders without images."""
-    return sum(len(BackgroundFolder.parse(text).files()) for text in backgrounds)
+            name = f"{folder.path.name}_{file.stem}"
+            if name in named:
+                raise LSNetError(f"{named[name]} and {file} would have squares of one name; mine them apart")
+            named[name] = file
+    return named
 
 
 def hard_squares(photo: NDArray[np.uint8], detector: Detector) -> list[NDArray[np.uint8]]:

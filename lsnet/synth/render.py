@@ -17,11 +17,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
-from lsnet.files import make_folder
+from lsnet.files import make_folder, write_png
 from lsnet.synth.conductors import Camera, Hang, strands
 from lsnet.synth.hardware import insulators, lattice_tower, pole, triple
 
@@ -156,7 +155,7 @@ def _material(rng: Rng, width_px: float) -> tuple[dict[str, Any], bool]:
 def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES) -> NDArray[np.uint8]:
     """(H, W, 4) sRGB and alpha, not multiplied in, of a scene under an environment map or a sunny sky.
 
-    Raises LSNetError when Mitsuba is not installed.
+    Raises LSNetError when Mitsuba is not installed or cannot read the map.
     """
     mi = load_mitsuba()
     camera = layout.camera
@@ -185,7 +184,12 @@ def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES)
         for k, rod in enumerate(layout.rods):
             grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": float(rng.uniform(0.1, 0.5))}}
             scene |= {f"rod{k}_{i}": shape | {"bsdf": grey} for i, shape in enumerate(_shapes(mi, rod))}
-        pixels = np.array(mi.render(mi.load_dict(scene)), np.float64)
+        try:
+            pixels = np.array(mi.render(mi.load_dict(scene)), np.float64)
+        except RuntimeError as err:
+            if light is None:
+                raise
+            raise LSNetError(f"{light}: cannot be rendered with; take it out of the folder") from err
     return exposed(pixels, rng.uniform(0.08, 1.1))  # from dim to white
 
 
@@ -257,7 +261,7 @@ def render_one(index: int, folder: Path, lights: Sequence[Path], size: int, seed
     layout = lay_out(rng, size)
     light = lights[int(rng.integers(len(lights)))] if lights else None
     image = render(layout, light, rng)
-    cv2.imwrite(str(truth.with_suffix(".png")), cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA))
+    write_png(truth.with_suffix(".png"), image)
     lines = [np.round(line, 2).tolist() for line in layout.lines()]
     partial_file = truth.with_suffix(".partial")
     partial_file.write_text(json.dumps({"size": [size, size], "seed": seed, "lines": lines}) + "\n")
@@ -277,7 +281,7 @@ def render_many(
 ) -> None:
     """Write the first `count` pictures of a seed into a folder, in so many processes.
 
-    Raises LSNetError when Mitsuba is not installed, the folder cannot be made or holds no lights.
+    Raises LSNetError when Mitsuba is not installed, the folder cannot be written or a light not be read.
     """
     load_mitsuba()
     maps = sorted(lights.glob("*.hdr")) if lights else []

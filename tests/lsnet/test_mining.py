@@ -10,6 +10,7 @@ import pytest
 
 from lsnet import Detections, Detector, Lines, Segments
 from lsnet.errors import LSNetError
+from lsnet.files import write_png
 from lsnet.synth import mining
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def test_squares_are_written_under_the_name_of_their_photograph(tmp_path: Path) 
         cv2.imwrite(str(photos / f"{name}.png"), position_photo(600, 700)[..., ::-1])
     detector = cast("Detector", Told([[40, 40, 60, 40, 0.5]]))
     assert list(mining.mine(detector, [f"{photos}:1"], output)) == [1]
-    assert mining.count_photos([f"{photos}:1", str(photos)]) == 3
+    assert list(mining.named_photos([str(photos)])) == ["photos_a", "photos_b"]
     (file,) = output.iterdir()
     assert file.name == "photos_a_000.png"
     np.testing.assert_array_equal(cv2.imread(str(file))[..., ::-1], position_photo(600, 700)[:512, :512])
@@ -77,3 +78,20 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(LSNetError, match="cannot be made a folder"):
         list(mining.mine(cast("Detector", Told([])), [], tmp_path / "file"))
+
+
+def test_squares_that_would_replace_each_other_are_one_line(tmp_path: Path) -> None:
+    for folder, name in (("a/photos", "1.png"), ("b/photos", "1.jpg")):
+        (tmp_path / folder).mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / folder / name), position_photo(40, 40))
+    with pytest.raises(LSNetError, match=r"1\.png and .*1\.jpg would have squares of one name"):
+        list(
+            mining.mine(
+                cast("Detector", Told([])), [f"{tmp_path}/{k}/photos" for k in "ab"], tmp_path / "hard"
+            )
+        )
+
+
+def test_a_square_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LSNetError, match=r"a\.png: cannot be written; name another folder"):
+        write_png(tmp_path / "none/a.png", position_photo(4, 4))

@@ -101,6 +101,13 @@ def test_no_lights_are_one_line(tmp_path: Path) -> None:
         render_many(tmp_path / "a", 1, lights=tmp_path, size=64, seed=0, workers=1)
 
 
+def test_a_damaged_light_is_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    (tmp_path / "sky.hdr").write_text("no radiance")
+    with pytest.raises(LSNetError, match=r"sky\.hdr: cannot be rendered with; take it out"):
+        render_many(tmp_path / "a", 1, lights=tmp_path, size=64, seed=0, workers=1)
+
+
 def write_picture(folder: Path) -> Path:
     """A white cable along row 60.5 of 128, drawn, as `model synth` would write it."""
     pixels = np.zeros((128, 128, 4), np.uint8)

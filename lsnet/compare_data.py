@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
+from lsnet.errors import LSNetError
 from lsnet.files import make_folder
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import Sample, SyntheticScenes
@@ -42,10 +43,14 @@ def draw_set(
 ) -> None:
     """Fill a folder with `count` drawn images and their lines; what is there already is kept.
 
-    backgrounds: DIR or DIR:FIRST. Raises LSNetError for folders without images or one that cannot be made.
+    backgrounds: DIR or DIR:FIRST. Raises LSNetError for folders without images, one that cannot be made or
+    one with too few drawn images.
     """
     make_folder(folder)
     if (folder / LINES_FILE).exists():
+        there = len(np.load(folder / IMAGES_FILE, mmap_mode="r"))
+        if there < count:
+            raise LSNetError(f"{folder}: holds {there} drawn images, not {count}; give another --run folder")
         return
     scenes = SyntheticScenes(
         BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds]), DRAWN_PX, seed

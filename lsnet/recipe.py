@@ -49,15 +49,22 @@ class TrainingData:
 
 
 def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
-    """Samples to train and to validate on. Raises LSNetError for unusable folders or another size."""
+    """Samples to train and to validate on.
+
+    Raises LSNetError for unusable folders, another size, or what does not go together.
+    """
     if data.size % STRIDE_PX:
         raise LSNetError(f"crops of {data.size} px do not fit the cells; give a multiple of {STRIDE_PX}")
     if data.data is None:
+        if data.validation or data.labels:
+            raise LSNetError("--validation and --label are of labelled images; give these with --data")
         pool = BackgroundPool([BackgroundFolder.parse(text) for text in data.backgrounds])
         unseen = SyntheticScenes(pool, data.size, data.seed + VALIDATION_SEED)
         if data.rendered:
             return RenderedScenes(data.rendered, pool, data.size, data.seed), unseen
         return SyntheticScenes(pool, data.size, data.seed), unseen
+    if data.backgrounds or data.rendered:
+        raise LSNetError("--data is trained on as it is; leave out --background and --rendered")
     if data.validation is None:
         raise LSNetError("--data needs --validation with other labelled images, to know when to stop")
     train, validation = (load_labels(folder, data.labels) for folder in (data.data, data.validation))

@@ -45,6 +45,8 @@ def test_a_set_holds_the_drawn_images_and_their_lines(tmp_path: Path) -> None:
     kept = (tmp_path / "images.npy").stat().st_mtime_ns
     draw_set(tmp_path, (), 6, seed=3, workers=0)
     assert (tmp_path / "images.npy").stat().st_mtime_ns == kept
+    with pytest.raises(LSNetError, match="holds 6 drawn images, not 7; give another --run folder"):
+        draw_set(tmp_path, (), 7, seed=3, workers=0)
 
 
 def test_crops_move_the_lines_with_the_image() -> None:

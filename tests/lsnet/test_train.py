@@ -279,6 +279,10 @@ def test_data_that_cannot_be_trained_on_is_one_line(tmp_path: Path) -> None:
         open_sources(TrainingData((), None, None, (), size=100, seed=0))
     with pytest.raises(LSNetError, match="--validation"):
         open_sources(TrainingData((), tmp_path, None, (), size=64, seed=0))
+    with pytest.raises(LSNetError, match="give these with --data"):
+        open_sources(TrainingData((), None, tmp_path, (), size=64, seed=0))
+    with pytest.raises(LSNetError, match="leave out --background and --rendered"):
+        open_sources(TrainingData(("photos",), tmp_path, tmp_path, (), size=64, seed=0))
     with pytest.raises(LSNetError, match="not a folder"):
         open_sources(TrainingData((f"{tmp_path}/none:5",), None, None, (), size=64, seed=0))
 

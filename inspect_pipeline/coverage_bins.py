@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 _FRAMES_AT_A_TIME = 64
+_MAX_BINS = 100_000  # of a path: 100 km by the shipped rules
 
 
 def span_bins(
@@ -77,14 +78,17 @@ def _usable_cameras(camera: CameraRows, origin: LocalMetres, rules: Rules) -> Ca
 
 
 def _cut_path(frames: FrameRows, origin: LocalMetres, bin_m: float) -> tuple[Floats, float]:
-    """(B, 3) the middles of pieces of the path, on the ground, and how long each is."""
+    """(B, 3) the middles of pieces of the path, on the ground, and how long each is.
+
+    About `bin_m`, but for paths that a jump of positions makes very long.
+    """
     walked = path_metres(frames)
     known = np.isfinite(walked) & np.isfinite(frames.lat_deg) & np.isfinite(frames.lon_deg)
     if known.sum() < 2 or walked[known][-1] < bin_m:
         return np.zeros((0, 3)), bin_m
     places = origin.to_metres(frames.lat_deg[known], frames.lon_deg[known])
     total = walked[known][-1]
-    n_bins = max(1, round(total / bin_m))
+    n_bins = min(max(1, round(total / bin_m)), _MAX_BINS)
     at = (np.arange(n_bins) + 0.5) * total / n_bins
     columns = [np.interp(at, walked[known], column) for column in places.T]
     return np.column_stack((*columns, np.zeros(n_bins))), total / n_bins
@@ -98,8 +102,12 @@ def _within_reach(middles: Floats, cameras: Cameras, rules: Rules) -> Ints:
         return np.zeros(0, np.int64)
     positions, farthest_m = cameras.positions[known, :2], reach_m[known].max()
     low, high = positions.min(axis=0) - farthest_m, positions.max(axis=0) + farthest_m
-    places = middles[:, :2]
-    return np.flatnonzero(((places >= low) & (places <= high)).all(axis=1))
+    within = np.flatnonzero(((middles[:, :2] >= low) & (middles[:, :2] <= high)).all(axis=1))
+    # One by one, as a position that jumps would take in all on its way.
+    is_near = np.zeros(len(within), bool)
+    for position in positions:
+        is_near |= (np.abs(middles[within, :2] - position) <= farthest_m).all(axis=1)
+    return within[is_near]
 
 
 def _fine(gsd_m: Floats, rules: Rules) -> Floats:

@@ -99,6 +99,21 @@ def test_the_corridor_is_the_ground_below_the_path() -> None:
     assert shares(camera, [], rules())["corridor m"] == pytest.approx(0.65, abs=0.011)
 
 
+def test_a_position_that_jumps_far_away_costs_no_memory() -> None:
+    """One of forty frames is said to be ten degrees away; the ground below the others is seen."""
+    camera = flight(np.arange(40.0), np.ones(40, bool))
+    lat_deg = camera.frames.lat_deg.copy()
+    lat_deg[20] += 10
+    camera = replace(camera, frames=replace(camera.frames, lat_deg=lat_deg))
+    tracemalloc.start()
+    (bins,) = (one for one in measure_coverage([camera], [], rules()).bins if one.kind == "corridor")
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most_bytes < 100 << 20
+    assert len(bins.n_frames) == 100_000
+    assert bins.n_detected.max() > 10
+
+
 def test_clutter_is_no_line() -> None:
     camera = flight(np.arange(40.0), np.ones(40, bool))
     tracks = np.where(np.arange(40) < 2, 7, NO_TRACK)

@@ -67,7 +67,6 @@ class Recording:
     refusals: Mapping[str, str]
     video_channel_ids: frozenset[int]
     metadata: Mapping[str, Mapping[str, str]]
-    n_attachments: int
     layout: Layout
     made_of: str | None = None
 
@@ -191,7 +190,6 @@ def open_recording(path: Path, *, strict: bool = False, made_of: str | None = No
             refusals=cameras.refusals,
             video_channel_ids=cameras.video_channel_ids,
             metadata=_read_metadata(file, layout),
-            n_attachments=len(layout.attachments),
             layout=layout,
             made_of=made_of,
         )

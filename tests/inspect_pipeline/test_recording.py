@@ -264,7 +264,7 @@ def test_metadata_and_attachments(tmp_path: Path) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(2), **WRITERS["attachments and metadata"])
     recording = open_recording(path)
     assert recording.metadata == {"mission": {"line": "7"}}
-    assert recording.n_attachments == 2
+    assert len(recording.layout.attachments) == 2
     assert not recording.is_annotated_copy
 
 

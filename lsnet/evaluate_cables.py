@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from lsnet.evaluate import used
-from lsnet.metrics import structural_ap
+from lsnet.metrics import distance_to, structural_ap
 from lsnet.segmap import confidence_map
 
 if TYPE_CHECKING:
@@ -101,7 +100,7 @@ def evaluate_cables(
         detections = finder.detect([sample.image])[0]
         said = confidence_map(used(detections, use)) >= max(min_score, 1e-6)
         found += cables_found(said, cables)
-        false_px.append(int((said & (_distance_to(_drawn(cables, size)) > TOLERANCE_PX)).sum()))
+        false_px.append(int((said & (distance_to(_drawn(cables, size)) > TOLERANCE_PX)).sum()))
         is_reported.append(bool(said.any()))
         has_cables.append(bool(cables))
         detected.append((_chords(detections.lines.points), detections.lines.scores))
@@ -128,7 +127,7 @@ def evaluate_cables(
 
 def cables_found(said: NDArray[np.bool_], cables: Sequence[Float]) -> list[CableFound]:
     """What of each cable, given as points 1 px apart (K, 2), lies within 3 px of what is said (H, W)."""
-    near = _distance_to(said) <= TOLERANCE_PX
+    near = distance_to(said) <= TOLERANCE_PX
     found = []
     for cable in cables:
         column, row = np.floor(cable).astype(int).T
@@ -159,12 +158,6 @@ def _drawn(cables: Sequence[Float], size: tuple[int, int]) -> NDArray[np.bool_]:
         column, row = np.floor(cable).astype(int).T
         mask[row, column] = True
     return mask
-
-
-def _distance_to(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    if not mask.any():
-        return np.full(mask.shape, 1e3, np.float32)
-    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
 
 
 def _chords(lines: Sequence[NDArray[np.floating]]) -> Float:

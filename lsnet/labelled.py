@@ -19,7 +19,7 @@ import numpy as np
 from lsnet.errors import LSNetError
 from lsnet.synth.backgrounds import SUFFIXES, load_rgb
 from lsnet.synth.conditions import augment_further
-from lsnet.synth.dataset import Sample
+from lsnet.synth.dataset import Sample, to_uint8
 from lsnet.synth.geometric import affine
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class LabelledScenes:
         which = int(rng.integers(len(self._images)))
         pixels, lines = zoom_and_turn(self._pixels[which], self._images[which].lines, rng, self.size)
         pixels, lines = augment_further(pixels, lines, rng)
-        return Sample(np.clip(np.round(pixels), 0, 255).astype(np.uint8), lines)
+        return Sample(to_uint8(pixels), lines)
 
 
 def zoom_and_turn(

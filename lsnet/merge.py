@@ -55,20 +55,14 @@ class MergeConfig:
     flatness_px: float = 0.4  # how far simplifying may move it
 
 
-def merge(segments: Segments, config: MergeConfig | None = None, enlarged: float = 1.0) -> Lines:
-    """Lines of one image, strongest first."""
-    return merge_with_owners(segments, config, enlarged)[0]
-
-
 def merge_with_owners(
-    segments: Segments, config: MergeConfig | None = None, enlarged: float = 1.0
+    segments: Segments, config: MergeConfig, enlarged: float = 1.0
 ) -> tuple[Lines, NDArray[np.int32]]:
     """Lines of one image, strongest first, and (N,) the line each segment belongs to, -1 for none.
 
     enlarged: how many times the network's image is larger than what was photographed. The more there is to
     see, the more chances has a false line, so a line must be longer; what is enlarged shows no more.
     """
-    config = config or MergeConfig()
     sure = np.flatnonzero(segments.scores >= config.min_segment_score)
     even_px = float(np.clip(config.even_length * min(segments.image_size) / enlarged, *EVEN_LENGTHS_PX))
     found = _lines_of(segments.endpoints[sure], segments.scores[sure], even_px, config)

@@ -46,8 +46,8 @@ class PixelScore:
     mean_f1: float
 
 
-def _distance_to(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Distance of each pixel to the nearest set one, far beyond any tolerance where there is none."""
+def distance_to(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W) px from each pixel to the nearest set one, far beyond any tolerance where there is none."""
     if not mask.any():
         return np.full(mask.shape, 1e3, np.float32)
     return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
@@ -60,11 +60,11 @@ def pixel_counts(
 
     What has no score is not drawn, at a threshold of 0 either.
     """
-    is_near_cable = _distance_to(truth.mask) <= tolerance_px
+    is_near_cable = distance_to(truth.mask) <= tolerance_px
     counts = np.zeros((len(thresholds), 4), np.int64)
     for i, threshold in enumerate(thresholds):
         drawn = (confidence >= threshold) & (confidence > 0)
-        found = truth.centreline & (_distance_to(drawn) <= tolerance_px + truth.half_width_px)
+        found = truth.centreline & (distance_to(drawn) <= tolerance_px + truth.half_width_px)
         counts[i] = [(drawn & is_near_cable).sum(), drawn.sum(), found.sum(), truth.centreline.sum()]
     return counts
 

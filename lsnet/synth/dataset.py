@@ -49,13 +49,14 @@ class SyntheticScenes:
         return Sample(image, [line * (self.size / small.image.shape[0]) for line in small.lines])
 
     def _seen(self, rng: np.random.Generator, size: int) -> Sample:
-        scene = _to_uint8(self.pool.sample(rng, size))
-        add_clutter(scene, rng, lambda: _to_uint8(self.pool.sample(rng, size)))
+        scene = to_uint8(self.pool.sample(rng, size))
+        add_clutter(scene, rng, lambda: to_uint8(self.pool.sample(rng, size)))
         image = scene.astype(np.float32)
         lines = add_cables(image, rng) if rng.random() >= EMPTY_SHARE else []
         image, lines = augment_further(image, lines, rng)
-        return Sample(_to_uint8(image), lines)
+        return Sample(to_uint8(image), lines)
 
 
-def _to_uint8(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+def to_uint8(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Rounded into [0, 255]."""
     return np.clip(np.round(image), 0, 255).astype(np.uint8)

@@ -11,7 +11,7 @@ import numpy as np
 from lsnet.errors import LSNetError
 from lsnet.synth.clutter import add_clutter
 from lsnet.synth.conditions import augment_further, cable_shadows
-from lsnet.synth.dataset import Sample
+from lsnet.synth.dataset import Sample, to_uint8
 from lsnet.synth.geometric import crops_and_flips, over, rotate, zoom
 
 if TYPE_CHECKING:
@@ -58,11 +58,11 @@ class RenderedScenes:
         if rng.random() < SHADOW_SHARE:
             ground = cable_shadows(ground, lines, rng)
         image, lines = augment_further(_composed(cables, ground), lines, rng)
-        return Sample(_to_uint8(image), lines)
+        return Sample(to_uint8(image), lines)
 
     def _ground(self, rng: np.random.Generator) -> Image:
-        scene = _to_uint8(self._pool.sample(rng, self.size))
-        add_clutter(scene, rng, lambda: _to_uint8(self._pool.sample(rng, self.size)))
+        scene = to_uint8(self._pool.sample(rng, self.size))
+        add_clutter(scene, rng, lambda: to_uint8(self._pool.sample(rng, self.size)))
         return scene.astype(np.float32)
 
 
@@ -91,7 +91,3 @@ def _fitted(cables: Image, lines: list[NDArray[np.float64]], size: int) -> Label
 def _composed(cables: Image, ground: Image) -> Image:
     alpha = cables[..., 3:] / 255
     return over(np.concatenate([cables[..., :3] / np.maximum(alpha, 1e-3), alpha], axis=2), ground)
-
-
-def _to_uint8(image: Image) -> NDArray[np.uint8]:
-    return np.clip(np.round(image), 0, 255).astype(np.uint8)

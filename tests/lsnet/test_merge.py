@@ -7,10 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lsnet.grid import POSITIVE, GridCoder
-from lsnet.merge import MergeConfig, merge, merge_with_owners
+from lsnet.merge import MergeConfig, merge_with_owners
 from lsnet.segments import Lines, Segments
 
 SIZE = (256, 384)
+
+
+def merge(segments: Segments, config: MergeConfig | None = None, enlarged: float = 1.0) -> Lines:
+    return merge_with_owners(segments, config or MergeConfig(), enlarged)[0]
 
 
 def cells_of(*polylines: list[tuple[float, float]], score: float = 0.9) -> Segments:
@@ -125,7 +129,7 @@ def test_segments_lie_on_the_line_that_owns_them(seed: int) -> None:
     segments = Segments(
         np.concatenate([noisy, stray]), rng.uniform(0, 1, len(noisy) + 30).astype(np.float32), SIZE
     )
-    lines, owners = merge_with_owners(segments)
+    lines, owners = merge_with_owners(segments, MergeConfig())
     assert owners.shape == (len(segments),)
     assert set(owners.tolist()) - {-1} == set(range(len(lines)))  # none without a segment
     assert (owners[segments.scores < MergeConfig().min_segment_score] == -1).all()

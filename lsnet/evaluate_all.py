@@ -48,9 +48,14 @@ class EvalTask:
     backgrounds: tuple[str, ...]
 
     def count_images(self) -> int:
-        """How many images will be looked at. Raises LSNetError for a folder without, or nothing to do."""
+        """How many images will be looked at.
+
+        Raises LSNetError for a folder without, nothing to do, or backgrounds that nothing is drawn on.
+        """
         if not self.folders and not self.synthetic:
             raise LSNetError("nothing to evaluate on; give folders of images, or --synthetic")
+        if self.backgrounds and not self.synthetic:
+            raise LSNetError("--background is drawn on; say how many images, with --synthetic")
         count = self.synthetic
         for folder in self.folders:
             kind, files = images_of(folder)

@@ -37,10 +37,24 @@ LINE_SHAPES = {"line", "linestrip"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledImage:
-    """An image file and its polylines, (K, 2) x, y in pixels of the image as stored."""
+    """An image file and its polylines, (K, 2) x, y in pixels of the image as stored.
+
+    size: (height, width) as the labels have it, None where they do not say.
+    """
 
     path: Path
     lines: list[Points]
+    size: tuple[int, int] | None = None
+
+    def load(self) -> NDArray[np.uint8]:
+        """The pixels. Raises LSNetError for no image, or one of another size: the labels of a turned one."""
+        pixels = load_rgb(self.path)
+        if self.size not in (None, pixels.shape[:2]):
+            raise LSNetError(
+                f"{self.path}: stored as {pixels.shape[1]} x {pixels.shape[0]}, labelled as {self.size[1]} x "
+                f"{self.size[0]}; store it upright, without an EXIF orientation"
+            )
+        return pixels
 
 
 def load_labels(folder: Path, labels: tuple[str, ...] = ()) -> list[LabelledImage]:
@@ -78,13 +92,14 @@ def _from_labelme(folder: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
         if not label_file.is_file():
             continue
         with _naming(label_file):
-            shapes = json.loads(label_file.read_text(encoding="utf-8"))["shapes"]
+            content = json.loads(label_file.read_text(encoding="utf-8"))
             lines = [
                 _polyline(shape["points"])
-                for shape in shapes
+                for shape in content["shapes"]
                 if shape["shape_type"] in LINE_SHAPES and (not labels or shape["label"] in labels)
             ]
-        found.append(LabelledImage(path, lines))
+            size = _size(content.get("imageHeight"), content.get("imageWidth"))
+        found.append(LabelledImage(path, lines, size))
     return found
 
 
@@ -93,7 +108,9 @@ def _from_coco(path: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
         content = json.loads(path.read_text(encoding="utf-8"))
         names = {c["id"]: c["name"] for c in content.get("categories", [])}
         images = {
-            image["id"]: LabelledImage(path.parent / image["file_name"], [])
+            image["id"]: LabelledImage(
+                path.parent / image["file_name"], [], _size(image.get("height"), image.get("width"))
+            )
             for image in sorted(content["images"], key=lambda image: str(image["file_name"]))
         }
         for annotation in content["annotations"]:
@@ -101,6 +118,10 @@ def _from_coco(path: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
                 continue
             images[annotation["image_id"]].lines.extend(_polyline(flat) for flat in _flat_lists(annotation))
     return list(images.values())
+
+
+def _size(height: int | None, width: int | None) -> tuple[int, int] | None:
+    return (height, width) if height and width else None
 
 
 def _flat_lists(annotation: dict[str, Any]) -> list[list[float]]:
@@ -120,7 +141,7 @@ class LabelledScenes:
 
     def __init__(self, images: list[LabelledImage], size: int = 384, seed: int = 0) -> None:
         self.size, self._seed = size, seed
-        self._images, self._pixels = images, [load_rgb(image.path) for image in images]
+        self._images, self._pixels = images, [image.load() for image in images]
 
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self._seed, index])

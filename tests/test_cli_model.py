@@ -109,6 +109,8 @@ def test_eval_of_a_rival(tmp_path: Path) -> None:
 
 def test_eval_of_nothing_is_one_line() -> None:
     assert "give folders of images, or --synthetic" in str(run("eval", *TINY_RUN).exception)
+    result = run("eval", "plain", "--background", "plain", *TINY_RUN)
+    assert "say how many images, with --synthetic" in str(result.exception)
 
 
 def test_eval_of_no_images_is_one_line() -> None:

@@ -134,6 +134,21 @@ def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
         LabelledScenes(load_labels(tmp_path))
 
 
+@pytest.mark.parametrize("write", ["labelme", "coco"])
+def test_labels_of_a_turned_image_are_refused(tmp_path: Path, write: str) -> None:
+    """Labelling tools show an image as its EXIF orientation asks; here it is as it is stored, 80 x 60."""
+    for width, height in ((80, 60), (60, 80)):
+        if write == "labelme":
+            labelme(tmp_path, LABELME | {"imageHeight": height, "imageWidth": width})
+        else:
+            images = [image | {"height": height, "width": width} for image in COCO["images"]]
+            coco(tmp_path, COCO | {"images": images})
+        if width == 80:
+            LabelledScenes(load_labels(tmp_path))
+    with pytest.raises(LSNetError, match="stored as 80 x 60, labelled as 60 x 80; store it upright"):
+        LabelledScenes(load_labels(tmp_path))
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_lines_move_with_the_crop(seed: int) -> None:
     """Blobs of light at points of the image are found at the moved points."""

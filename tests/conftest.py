@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import gc
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +13,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy and torch: pytest-
 import cv2
 import numpy as np
 import pytest
+import typer.main
+import typer.testing
 
 from inspect_pipeline import simulate, simulate_ground
 
@@ -18,6 +22,28 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 cv2.setNumThreads(1)
+gc.disable()  # until all tests are imported, most of which stays
+
+
+def pytest_collection_finish() -> None:
+    """What was imported is looked through no more when garbage is collected."""
+    gc.freeze()
+    gc.enable()
+
+
+def pytest_unconfigure() -> None:
+    """At the end all of it is taken down, of which DuckDB's bindings would complain otherwise."""
+    gc.unfreeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _commands_made_once() -> Iterator[None]:
+    """Typer makes all commands of the program anew whenever one is run; most tests take less time."""
+    made_once = functools.cache(typer.main.get_command)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", made_once)
+        patch.setattr(typer.testing, "_get_command", made_once)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -455,7 +455,10 @@ def test_overlay(run: Callable[..., Outcome], tmp_path: Path) -> None:
         assert words in outcome.err
 
 
-@pytest.mark.parametrize(("number", "exit_code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "exit_code"),
+    [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)],
+)
 def test_interrupted_after_a_clean_stop(tmp_path: Path, number: signal.Signals, exit_code: int) -> None:
     """The detector of this child waits until it is stopped."""
     make_recording(tmp_path / "a.mcap", shots(20))

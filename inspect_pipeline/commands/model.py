@@ -233,7 +233,7 @@ def synth(
 
     Example: lsnet-pipe model synth --count 1000 -o renders --light hdri --workers 8
     """
-    from lsnet.synth.render import render_many
+    from lsnet.synth.pictures import render_many
 
     with progress_bar("synth", count) as advance:
         render_many(output, count, lights=light, size=size, seed=seed, workers=workers, on_image=advance)

@@ -1,32 +1,25 @@
-"""Physically based pictures of cables with Mitsuba 3 (extra `synth`): PNG with alpha, their truth as JSON.
+"""Physically based pictures of cables with Mitsuba 3 (extra `synth`), with alpha.
 
 Stranded aluminium, insulated and rusty cables, alone, in families and in bundles with spacers, now and then
 held by strings of insulators, with a pole or a lattice tower beside them; lit by environment maps or a sunny
-sky; out of focus by a real lens. Picture i of a seed is always the same scene, and is written once: a stopped
-run goes on where it was.
+sky; out of focus by a real lens.
 """
 
 from __future__ import annotations
 
-import json
 import tempfile
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lsnet.errors import LSNetError
-from lsnet.files import make_folder, write_png
 from lsnet.synth.conductors import Camera, Hang, strands
 from lsnet.synth.hardware import insulators, lattice_tower, pole, triple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from numpy.typing import NDArray
 
     from lsnet.synth.hardware import Rod
@@ -250,50 +243,3 @@ def load_mitsuba() -> Any:
     mitsuba.set_variant("scalar_rgb")
     drjit.set_thread_count(1)
     return mitsuba
-
-
-def render_one(index: int, folder: Path, lights: Sequence[Path], size: int, seed: int) -> Path:
-    """Write picture `index` and, last, its truth; nothing when the truth is there already."""
-    truth = folder / f"{index:06d}.json"
-    if truth.exists():
-        return truth
-    rng = np.random.default_rng([seed, index])
-    layout = lay_out(rng, size)
-    light = lights[int(rng.integers(len(lights)))] if lights else None
-    image = render(layout, light, rng)
-    write_png(truth.with_suffix(".png"), image)
-    lines = [np.round(line, 2).tolist() for line in layout.lines()]
-    partial_file = truth.with_suffix(".partial")
-    partial_file.write_text(json.dumps({"size": [size, size], "seed": seed, "lines": lines}) + "\n")
-    partial_file.replace(truth)
-    return truth
-
-
-def render_many(
-    folder: Path,
-    count: int,
-    *,
-    lights: Path | None,
-    size: int,
-    seed: int,
-    workers: int,
-    on_image: Callable[[], None] = lambda: None,
-) -> None:
-    """Write the first `count` pictures of a seed into a folder, in so many processes.
-
-    Raises LSNetError when Mitsuba is not installed, the folder cannot be written or a light not be read.
-    """
-    load_mitsuba()
-    maps = sorted(lights.glob("*.hdr")) if lights else []
-    if lights and not maps:
-        raise LSNetError(f"{lights}: no .hdr files in it; give a folder of environment maps")
-    make_folder(folder)
-    task = partial(render_one, folder=folder, lights=maps, size=size, seed=seed)
-    if workers == 1:
-        for index in range(count):
-            task(index)
-            on_image()
-        return
-    with get_context("spawn").Pool(workers) as pool:
-        for _ in pool.imap_unordered(task, range(count)):
-            on_image()

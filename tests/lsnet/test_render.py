@@ -13,7 +13,8 @@ import pytest
 from lsnet.errors import LSNetError
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.conductors import LAYERS, Camera, Hang, strands
-from lsnet.synth.render import lay_out, render, render_many
+from lsnet.synth.pictures import render_many
+from lsnet.synth.render import lay_out, render
 from lsnet.synth.rendered import RenderedScenes
 
 if TYPE_CHECKING:
@@ -93,6 +94,8 @@ def test_pictures_are_made_once_and_the_same(tmp_path: Path, workers: int) -> No
     (tmp_path / "a/000001.json").unlink()
     render_many(tmp_path / "a", 2, lights=None, size=64, seed=5, workers=1)
     assert (tmp_path / "a/000001.png").read_bytes() == first
+    with pytest.raises(LSNetError, match=r"000000\.json: of another --size or --seed"):
+        render_many(tmp_path / "a", 1, lights=None, size=64, seed=6, workers=1)
 
 
 def test_no_lights_are_one_line(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import os
 import platform
 import secrets
 import signal
+import socket
 import time
 from contextlib import ExitStack, chdir, contextmanager, suppress
 from pathlib import Path
@@ -34,12 +35,16 @@ if TYPE_CHECKING:
 _START_S = 300.0  # for a free CPU, an interpreter and a detector
 _PING_S = 10.0
 _END_S = 10.0
-_CLUSTER_STARTS = 3  # Ray gives its own processes 30 s; on a busy machine they may need longer
+_MAX_STARTS = 3  # of a cluster of this machine; Ray waits 30 s for its own processes, a busy machine longer
 _OBJECT_STORE_BYTES = 80 * 2**20  # near the least there can be: only paths and results pass through it
 _FOLDER = "RAY_TMPDIR"  # in the environment of all processes of a cluster of this machine
 _TOKEN = secrets.token_hex(32)
 # Read when Ray is imported: it sends no statistics, and leaves it to us to say that an actor has died.
-_QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS_SKIP_REGEX": "."}
+_QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
+    "RAY_BACKEND_LOG_LEVEL": "fatal",
+}
 
 
 class RayExecutor(Executor["_Actor"]):
@@ -167,18 +172,29 @@ def _import_ray() -> Any:
 
 def _initialise(ray: Any, options: Mapping[str, Any], folder: str) -> None:
     """ray.init, without the current folder on the sys.path of actors; raises DetectorError."""
-    is_local = options["address"] == "local"
-    for attempts_left in reversed(range(_CLUSTER_STARTS if is_local else 1)):
+    address = options["address"]
+    for n_starts_left in reversed(range(_MAX_STARTS if address == "local" else 1)):
         try:
+            _check_reachable(address)
             with _own_signals(), chdir(folder):
                 ray.init(**options, log_to_driver=False, logging_level=logging.CRITICAL)
+        except SystemExit:  # made by Ray of a SIGTERM, which is for the batch, and that goes on to its end
+            signal.raise_signal(signal.SIGTERM)
         except Exception as error:  # Ray raises many kinds, also the plain one
-            _end_processes(folder)
-            if attempts_left:
-                continue
-            remedy = "use --executor local" if is_local else "check RAY_ADDRESS"
-            raise DetectorError(f"no Ray at {options['address']} ({_explain(error)}); {remedy}") from error
-        return
+            if not n_starts_left:
+                remedy = "use --executor local" if address == "local" else "check RAY_ADDRESS"
+                raise DetectorError(f"no Ray at {address} ({_explain(error)}); {remedy}") from error
+        else:
+            return
+        _end_processes(folder)
+    raise DetectorError(f"no Ray at {address}: the batch was stopped before")
+
+
+def _check_reachable(address: str) -> None:
+    """Raise OSError when nobody is at host:port, which Ray would take minutes to say."""
+    host, _, port = address.rpartition(":")
+    if host and port.isdecimal() and "/" not in host:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_PING_S).close()
 
 
 @contextmanager

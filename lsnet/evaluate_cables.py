@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lsnet.evaluate import Finder, Use
-    from lsnet.train import SampleSource
+    from lsnet.synth.dataset import SampleSource
 
     Float = NDArray[np.float64]
 

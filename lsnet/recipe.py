@@ -19,7 +19,7 @@ from lsnet.weights import WeightsCard, save_weights
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from lsnet.train import SampleSource
+    from lsnet.synth.dataset import SampleSource
 
 VALIDATION_SEED = 1_000_000  # added to the seed: no validation image is ever trained on
 

@@ -1,4 +1,4 @@
-"""How many frames a second a detector handles, from uint8 pixels to segments."""
+"""How many frames a second a detector handles, from uint8 pixels to segments and lines."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import math
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -31,22 +31,9 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from lsnet.synth.dataset import Sample
+    from lsnet.synth.dataset import SampleSource
 
     Batch = tuple[Tensor, Tensor, Tensor]
-
-
-class SampleSource(Protocol):
-    """Samples by index, the same for the same index."""
-
-    @property
-    def size(self) -> int:
-        """Side of the square images, pixels."""
-        ...
-
-    def __getitem__(self, index: int) -> Sample:
-        """Sample `index`, any from 0 up."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +81,12 @@ class _Encoded(Dataset["Batch"]):
         return image, torch.from_numpy(targets.labels), torch.from_numpy(targets.endpoints)
 
 
-def loader(samples: SampleSource, indices: range, config: TrainConfig) -> DataLoader[Batch]:
-    """Batches of the samples of `indices`, in order, encoded in worker processes."""
-    return DataLoader(
+def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterator[Batch]:
+    """Batches of the samples of `indices`, in order, encoded in worker processes.
+
+    Raises LSNetError for a sample that cannot be read.
+    """
+    batches = DataLoader(
         _Encoded(samples, GridCoder()),
         batch_size=config.batch_size,
         sampler=indices,
@@ -104,6 +94,10 @@ def loader(samples: SampleSource, indices: range, config: TrainConfig) -> DataLo
         prefetch_factor=6 if config.workers else None,
         worker_init_fn=_single_threaded,
     )
+    try:
+        yield from batches
+    except LSNetError as err:  # from a worker it comes with a traceback, the message last
+        raise LSNetError(str(err).rstrip().rpartition("LSNetError: ")[2]) from err
 
 
 def _single_threaded(_worker: int) -> None:
@@ -146,8 +140,7 @@ class Trainer:
         self.config, self.run_dir = config, run_dir
         network = network or PRESETS[config.preset]
         self.net = LSNet(network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = LSNet(network)
-        self.average.eval()
+        self.average = LSNet(network).eval()
         self.optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
@@ -194,7 +187,7 @@ class Trainer:
             losses = [float(self._losses(self.average, batch).total) for batch in batches]
         return sum(losses) / len(losses)
 
-    def _epoch(self, batches: DataLoader[Batch]) -> Iterator[Progress]:
+    def _epoch(self, batches: Iterator[Batch]) -> Iterator[Progress]:
         """Step through the batches, reporting every 50 steps and before each validation."""
         totals, count, clock = np.zeros(3), 0, time.monotonic()
         for batch in batches:

@@ -53,7 +53,7 @@ def train(
     learning_rate: Annotated[float, typer.Option(min=0.0)] = 2e-3,
     crop: Annotated[int, typer.Option(min=64, help="Side of the training images, px.")] = 384,
     validate_every: Annotated[int, typer.Option(min=1, help="Steps between validations.")] = 500,
-    seed: Annotated[int, typer.Option(help="Same seed, same images and same first weights.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same images and same first weights.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="Threads of the training itself.")] = 1,
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
     start: Annotated[
@@ -224,7 +224,7 @@ def synth(
         typer.Option(metavar="DIR", help="Environment maps (.hdr) for light; else a sunny sky."),
     ] = None,
     size: Annotated[int, typer.Option(min=64, help="Side of the square pictures, px.")] = 512,
-    seed: Annotated[int, typer.Option(help="Same seed, same pictures.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same pictures.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 1,
 ) -> None:
     """Render cables physically: PNG with alpha and their centrelines as JSON, for `model train --rendered`.
@@ -250,7 +250,8 @@ def mine(
         float, typer.Option(min=0.0, max=1.0, help="Least score of a segment that counts.")
     ] = 0.3,
     scale: Annotated[
-        float | None, typer.Option(help="Resize photographs by this first; else small ones only.")
+        float | None,
+        typer.Option(min=0.05, max=4.0, help="Resize photographs by this first; else small ones only."),
     ] = None,
 ) -> None:
     """Cut the squares with false alarms out of photographs without lines, to train on as hard negatives.
@@ -282,7 +283,7 @@ def bench(
     runtime: RuntimeOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
-    """Time detection, uint8 pixels in, segments out.
+    """Time detection, uint8 pixels in, segments and lines out.
 
     Example: lsnet-pipe model bench --json --size 512 --images photos
     """

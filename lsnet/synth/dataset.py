@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
@@ -30,6 +30,19 @@ class Sample:
 
     image: NDArray[np.uint8]
     lines: list[NDArray[np.float64]]
+
+
+class SampleSource(Protocol):
+    """Samples by index, the same for the same index."""
+
+    @property
+    def size(self) -> int:
+        """Side of the square images, pixels."""
+        ...
+
+    def __getitem__(self, index: int) -> Sample:
+        """Sample `index`, any from 0 up."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

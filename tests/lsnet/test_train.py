@@ -233,6 +233,20 @@ def test_a_run_that_loses_itself_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "best.pt").exists()
 
 
+class Unreadable(Strokes):
+    """Samples of a file that is damaged."""
+
+    def __getitem__(self, index: int) -> Sample:
+        raise LSNetError("a.png: damaged; remove it")
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_sample_that_cannot_be_read_is_one_line(workers: int) -> None:
+    with pytest.raises(LSNetError) as error:
+        list(train.loader(Unreadable(), range(2), replace(QUICK, workers=workers)))
+    assert str(error.value) == "a.png: damaged; remove it"
+
+
 def test_learning_rate_warms_up_and_cools_down() -> None:
     config = TrainConfig(steps=1000, warmup_steps=100, learning_rate=1.0)
     assert learning_rate_at(0, config) == pytest.approx(0.01)

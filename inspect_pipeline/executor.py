@@ -139,8 +139,13 @@ class Executor(ABC, Generic[AnyWorker]):
     def describe(self) -> Mapping[str, str | int | float]:
         """What the detector says about itself, {} when stopped before; raises DetectorError."""
         while self._description is None and not self._should_stop():
-            if not self._workers:
-                self._workers.append(self._start_worker())
+            try:
+                if not self._workers:
+                    self._workers.append(self._start_worker())
+            except DetectorError:
+                if self._should_stop():
+                    break
+                raise
             for worker, message in chain(self._messages(), self._late()):
                 self._settle(worker, message)
         return self._description or {}

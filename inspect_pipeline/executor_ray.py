@@ -24,7 +24,7 @@ from inspect_pipeline.resources import app_version
 from inspect_pipeline.worker import Failure, Service
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from types import TracebackType
 
     from inspect_pipeline.errors import StoreError
@@ -63,7 +63,7 @@ class RayExecutor(Executor["_Actor"]):
 
     def _start_worker(self) -> _Actor:
         if self._ray is None:
-            self._ray = self._connection.enter_context(_connected(self._n_workers))
+            self._ray = self._connection.enter_context(_connected(self._n_workers, self._should_stop))
         return _Actor(self._ray, self._job)
 
     def _with_message(self) -> list[_Actor]:
@@ -138,7 +138,7 @@ class RecordingActor:
 
 
 @contextmanager
-def _connected(n_cpus: int) -> Iterator[Any]:
+def _connected(n_cpus: int, should_stop: Callable[[], bool]) -> Iterator[Any]:
     """Ray, connected to the cluster of RAY_ADDRESS or to one of this block; raises DetectorError."""
     address = os.environ.get("RAY_ADDRESS") or "local"
     with TemporaryDirectory(prefix="lsnet-pipe-", ignore_cleanup_errors=True) as folder:
@@ -155,7 +155,7 @@ def _connected(n_cpus: int) -> Iterator[Any]:
             ray = _import_ray()
         try:
             with _environment(environment):
-                _initialise(ray, options, folder)
+                _initialise(ray, options, folder, should_stop)
             yield ray
         finally:
             ray.shutdown()
@@ -170,7 +170,7 @@ def _import_ray() -> Any:
     return ray
 
 
-def _initialise(ray: Any, options: Mapping[str, Any], folder: str) -> None:
+def _initialise(ray: Any, options: Mapping[str, Any], folder: str, should_stop: Callable[[], bool]) -> None:
     """ray.init, without the current folder on the sys.path of actors; raises DetectorError."""
     address = options["address"]
     for n_starts_left in reversed(range(_MAX_STARTS if address == "local" else 1)):
@@ -178,16 +178,16 @@ def _initialise(ray: Any, options: Mapping[str, Any], folder: str) -> None:
             _check_reachable(address)
             with _own_signals(), chdir(folder):
                 ray.init(**options, log_to_driver=False, logging_level=logging.CRITICAL)
-        except SystemExit:  # made by Ray of a SIGTERM, which is for the batch, and that goes on to its end
+        except SystemExit as error:  # made by Ray of a SIGTERM, which is for the batch to handle
             signal.raise_signal(signal.SIGTERM)
+            raise DetectorError(f"no Ray at {address}: stopped before") from error
         except Exception as error:  # Ray raises many kinds, also the plain one
-            if not n_starts_left:
+            if not n_starts_left or should_stop():
                 remedy = "use --executor local" if address == "local" else "check RAY_ADDRESS"
                 raise DetectorError(f"no Ray at {address} ({_explain(error)}); {remedy}") from error
         else:
             return
         _end_processes(folder)
-    raise DetectorError(f"no Ray at {address}: the batch was stopped before")
 
 
 def _check_reachable(address: str) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import cli
 
-HEAVY = ("torch", "openvino", "duckdb", "mcap", "cv2", "numpy", "rich", "foxglove_schemas_protobuf")
+HEAVY = ("torch", "openvino", "duckdb", "mcap", "cv2", "numpy", "rich", "ray", "foxglove_schemas_protobuf")
 COMMANDS = (
     "",
     "process",

@@ -37,6 +37,7 @@ class StubDetector(FakeDetector):
     def __init__(self, folder: Path, weights: str, delay_s: float) -> None:
         super().__init__(weights)
         self._folder, self._delay_s = folder, delay_s
+        folder.mkdir(exist_ok=True)
         with (folder / "workers").open("a") as workers:
             workers.write(f"{os.getpid()}\n")
 

@@ -35,40 +35,42 @@ if TYPE_CHECKING:
 FAST = PRESETS["fast"]
 RESULTS_FILE = "results.jsonl"
 VALIDATION_IMAGES = 128  # the last ones of the set
+VALIDATION_CROP = 192
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One network with one loss; `seed` of its first weights and its crops."""
+    """One network with one loss; `seed` of its first weights and its crops, squares of `crop` pixels."""
 
     name: str
     network: LSNetConfig = FAST
     loss: MultiTaskLoss = field(default_factory=MultiTaskLoss)
     seed: int = 0
+    crop: int = 192
 
 
 NETWORKS = (
     Candidate("fast"),
+    Candidate("fast, another seed", seed=1),
+    Candidate("wider", replace(FAST, stem_channels=24, stage_channels=(32, 64, 128), head_channels=128)),
+    Candidate("narrower", replace(FAST, stage_channels=(24, 32, 64), head_channels=64)),
+    Candidate("late", replace(FAST, stage_channels=(16, 48, 128))),
     Candidate("no context block", replace(FAST, context_blocks=0)),
     Candidate("two context blocks", replace(FAST, context_blocks=2)),
-    Candidate("late", replace(FAST, stem_channels=16, stage_channels=(24, 64, 160), head_channels=160)),
-    Candidate("narrow", replace(FAST, stem_channels=16, stage_channels=(24, 48, 96), head_channels=96)),
-    Candidate("wide", replace(FAST, stem_channels=32, stage_channels=(40, 80, 160), head_channels=160)),
     Candidate("deep", replace(FAST, stage_blocks=2)),
     Candidate("GroupNorm", replace(FAST, norm="group")),
-    Candidate("stem of 16", replace(FAST, stem_channels=16)),
-    Candidate("three context blocks", replace(FAST, context_blocks=3)),
-    Candidate("head of 64", replace(FAST, head_channels=64)),
-    Candidate("fast, another seed", seed=1),
+    Candidate("head of 48", replace(FAST, head_channels=48)),
+    Candidate("crops of 128", crop=128),
+    Candidate("crops of 272", crop=272),
 )
 ABLATIONS = (
     Candidate("fast"),
+    Candidate("fast, another seed", seed=1),
     Candidate("one grid", loss=MultiTaskLoss(main_grid_only=True)),
     Candidate("cross entropy", loss=MultiTaskLoss(gamma=0.0)),
     Candidate("smooth L1", loss=MultiTaskLoss(regression="smooth_l1")),
     Candidate("L2", loss=MultiTaskLoss(regression="l2")),
     Candidate("ends from left to right", loss=MultiTaskLoss(error=ordered_error)),
-    Candidate("fast, another seed", seed=1),
 )
 CANDIDATES = {"networks": NETWORKS, "ablations": ABLATIONS}
 
@@ -81,9 +83,8 @@ class Comparison:
     backgrounds: tuple[str, ...]
     sets: tuple[Path, ...]  # folders with pixel truth to evaluate on
     images: int = 3700
-    steps: int = 1500
-    batch_size: int = 2
-    crop: int = 192
+    steps: int = 4000
+    batch_px: int = 4 * 192 * 192  # whatever the crops, a batch holds as many pixels
     seed: int = 7
 
     @property
@@ -169,10 +170,11 @@ def run_candidate(
     if candidate.name in kept:
         return kept[candidate.name]
     trainer = _trainer(comparison, candidate)
-    crop = comparison.crop
-    train_on = Crops.of(comparison.drawn, 0, comparison.images, size=crop, seed=candidate.seed)
+    train_on = Crops.of(comparison.drawn, 0, comparison.images, size=candidate.crop, seed=candidate.seed)
     last = comparison.images + VALIDATION_IMAGES
-    validate_on = Crops.of(comparison.drawn, comparison.images, last, size=crop, seed=comparison.seed)
+    validate_on = Crops.of(
+        comparison.drawn, comparison.images, last, size=VALIDATION_CROP, seed=comparison.seed
+    )
     losses = []
 
     def keep(progress: object) -> None:
@@ -197,7 +199,7 @@ def _trainer(comparison: Comparison, candidate: Candidate) -> Trainer:
     config = TrainConfig(
         preset=candidate.name,
         steps=comparison.steps,
-        batch_size=comparison.batch_size,
+        batch_size=max(1, round(comparison.batch_px / candidate.crop**2)),
         warmup_steps=min(100, comparison.steps),
         validate_every=max(1, comparison.steps // 2),
         validation_images=VALIDATION_IMAGES,

@@ -32,9 +32,9 @@ class LSNetConfig:
 PRESETS = {
     "paper": LSNetConfig(stage_channels=(64, 128, 256, 512), head_channels=512, norm="group"),
     "fast": LSNetConfig(
-        stem_channels=24,
-        stage_channels=(32, 64, 128),
-        head_channels=128,
+        stem_channels=16,
+        stage_channels=(32, 48, 96),
+        head_channels=96,
         norm="batch",
         downsample="first",
         context_blocks=1,

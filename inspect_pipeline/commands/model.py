@@ -189,7 +189,7 @@ def compare(
     ),
     background: BackgroundOption = None,
     images: Annotated[int, typer.Option(min=1, help="Drawn images to train on.")] = 3700,
-    steps: Annotated[int, typer.Option(min=1, help="Batches each is trained on.")] = 1500,
+    steps: Annotated[int, typer.Option(min=1, help="Batches each is trained on.")] = 4000,
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
     chart: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also draw ODS against time as SVG.")

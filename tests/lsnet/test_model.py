@@ -76,7 +76,7 @@ def test_fast_is_thin_and_says_as_many_cells() -> None:
     assert output.logits.shape == (2, 2, 31, 31)
     assert output.endpoints.shape == (2, 4, 31, 31)
     assert sum(p.numel() for p in net.parameters()) < 1_000_000
-    assert rows_of(net.extractor)[0] == (3, 24, 2)
+    assert rows_of(net.extractor)[0] == (3, 16, 2)
 
 
 @pytest.mark.parametrize("config", [PRESETS["paper"], PRESETS["fast"], TINY])

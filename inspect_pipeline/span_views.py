@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 
 _CELLS_AT_A_TIME = 1 << 18  # frames times places, so that memory does not grow with the flight
+_POINTS_AT_A_TIME = 64  # neighbours, which few frames show
+_SLACK_M = 1e-3  # far more than what rounding moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +114,28 @@ def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
 
 def visible_gsd_m(cameras: Cameras, points: Floats, margin_px: float = 0.0) -> Floats:
     """(N, P): metres per pixel where a camera sees a point, else NaN."""
+    gsd_m = np.full((len(cameras.positions), len(points)), np.nan)
+    for start in range(0, len(points), _POINTS_AT_A_TIME):
+        some = points[start : start + _POINTS_AT_A_TIME]
+        rows = _may_see(cameras, some)
+        if len(rows):
+            gsd_m[rows, start : start + len(some)] = _gsd_m(cameras[rows], some, margin_px)
+    return gsd_m
+
+
+def _may_see(cameras: Cameras, points: Floats) -> Ints:
+    """The rows of cameras whose pyramid of sight meets a ball around (P, 3) points."""
+    middle, radius_m = _ball(points)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slopes = np.abs(cameras.sizes) / (2 * np.abs(cameras.focal_px[:, np.newaxis]))
+        seen = np.einsum("nij,nj->ni", cameras.axes, middle - cameras.positions)
+        beyond = np.abs(seen[:, :2]) - slopes * seen[:, 2:] > radius_m * np.hypot(1, slopes)
+    is_known = np.isfinite(seen).all(axis=1) & np.isfinite(cameras.focal_px)
+    return np.flatnonzero(is_known & ~beyond.any(axis=1) & (seen[:, 2] > -radius_m))
+
+
+def _gsd_m(cameras: Cameras, points: Floats, margin_px: float) -> Floats:
+    """What `visible_gsd_m` says, computed for each camera and point."""
     with np.errstate(invalid="ignore"):
         pixels, depths = cameras.project(points)
         limits = cameras.sizes[:, np.newaxis] - margin_px
@@ -191,8 +215,18 @@ def _crossings(
 
 def is_near(places: Floats, path: Floats, near_m: float) -> bool:
     """Whether any of (B, 2) places is within a distance of any of (N, 2) places of a path."""
-    if not len(path):
-        return False
-    step = max(1, len(path) // 2000)
-    away = places[:, np.newaxis] - path[np.newaxis, ::step]
-    return bool((np.hypot(away[..., 0], away[..., 1]) <= near_m).any())
+    path = path[:: max(1, len(path) // 2000)]
+    for start in range(0, len(places), _POINTS_AT_A_TIME):
+        some = places[start : start + _POINTS_AT_A_TIME]
+        middle, radius_m = _ball(some)
+        within = path[np.hypot(*(path - middle).T) <= near_m + radius_m]
+        away = some[:, np.newaxis] - within[np.newaxis]
+        if (np.hypot(away[..., 0], away[..., 1]) <= near_m).any():
+            return True
+    return False
+
+
+def _ball(points: Floats) -> tuple[Floats, float]:
+    """Middle and radius of a ball that has all of some points in it."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return middle, float(np.linalg.norm(points - middle, axis=1).max()) + _SLACK_M

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from inspect_rows import FOCAL_PX, PERIOD_NS, flight, rules, span
 
+from inspect_pipeline.anomalies import find_anomalies
 from inspect_pipeline.coverage import measure_coverage
 from inspect_pipeline.observations import NO_TRACK, LineRows, completed_lines
-from inspect_pipeline.projection import camera_axes
+from inspect_pipeline.projection import Cameras, camera_axes
+from inspect_pipeline.span_views import visible_gsd_m
 
 if TYPE_CHECKING:
     from inspect_pipeline.observations import CameraRows
@@ -68,6 +70,57 @@ def test_frames_that_show_nothing_cover_nothing(change: dict[str, float], limits
 def test_spans_that_are_far_have_no_row() -> None:
     camera = flight(np.full(10, 40.0), np.ones(10, bool))
     assert "span m" not in shares(camera, [replace(span(), from_lat_deg=53.0, to_lat_deg=53.0)], rules())
+
+
+def test_spans_that_are_far_change_no_row() -> None:
+    """Two spans below the path have the same coverage and findings beside ones to all sides of it."""
+    camera = flight(np.arange(0.0, 100.0, 2.0), np.arange(50) != 20)
+    own = [span(), replace(span(60.0), span_id="beside", expected_conductors=2)]
+    far = [
+        replace(
+            span(),
+            span_id=f"{north} {east}",
+            from_lat_deg=52.0 + north,
+            to_lat_deg=52.0 + north,
+            from_lon_deg=5.0 + east,
+            to_lon_deg=span().to_lon_deg + east,
+        )
+        for north in (-0.01, -0.0004, 0.0, 0.0004, 0.01)
+        for east in (-0.01, 0.01)
+    ]
+    alone, among = (measure_coverage([camera], spans, rules()) for spans in (own, [*far[:5], *own, *far[5:]]))
+    assert (among.numbers, among.gaps) == (alone.numbers, alone.gaps)
+    for ours, theirs in zip(alone.bins, among.bins, strict=True):
+        assert (ours.span_id, ours.bin_m) == (theirs.span_id, theirs.bin_m)
+        for name in ("n_frames", "n_detected", "best_gsd_m", "first_ns", "last_ns"):
+            assert getattr(ours, name).tobytes() == getattr(theirs, name).tobytes()
+    found = find_anomalies([camera], own, rules())
+    assert any(one.span_id for one in found)
+    assert find_anomalies([camera], [*far[:5], *own, *far[5:]], rules()) == found
+
+
+def test_cameras_see_what_projects_into_their_pictures() -> None:
+    """Cameras that look anywhere, wide and narrow, some lost, about a line that turns."""
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-180, 180, (3, 300))
+    cameras = Cameras(
+        positions=rng.uniform(-150, 150, (300, 3)),
+        axes=camera_axes(*angles),
+        focal_px=rng.choice([100.0, 1000.0, 4000.0], 300),
+        sizes=np.tile([1280.0, 720.0], (300, 1)),
+    )
+    cameras.positions[::50] = np.nan
+    along = np.linspace(-100, 100, 200)
+    points = np.column_stack((along, np.abs(along), np.full(200, 12.0)))
+    found = visible_gsd_m(cameras, points, margin_px=12.0)
+    n_seen = 0
+    for row in range(300):
+        right, down, ahead = cameras.axes[row] @ (points - cameras.positions[row]).T
+        right_px, down_px = (np.abs(side) * cameras.focal_px[row] for side in (right, down))
+        is_inside = (right_px <= 628 * ahead) & (down_px <= 348 * ahead)
+        n_seen += is_inside.sum()
+        assert np.isfinite(found[row]).tolist() == is_inside.tolist()
+    assert n_seen > 1000
 
 
 def test_dropped_frames_are_missing_from_frame_and_detection_coverage() -> None:

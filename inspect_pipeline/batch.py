@@ -136,7 +136,7 @@ class _Batch:
         try:
             save_run(self._store, summary)
             self._publish()
-        except StoreError as failure:
+        except InspectError as failure:
             summary = self._summary(error or failure)
             with suppress(StoreError):
                 save_run(self._store, summary)
@@ -149,6 +149,8 @@ class _Batch:
         self._counts = Counts(n_found=len(found.candidates))
         for link in found.links_out:
             self._report("link out of the inbox left alone", path=str(link))
+        for folder in found.unreadable:
+            self._report("folder of the inbox cannot be read", path=str(folder))
         description = self._executor.describe()
         self._run = start_described_run(description, self._job.options, "batch", self._options.tags)
         due = [candidate for candidate in found.candidates if self._is_due(candidate)]

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
-from inspect_pipeline.errors import DetectorError, StoreError
+from inspect_pipeline.errors import DetectorError, InspectError
 from inspect_pipeline.types import ProcessResult
 from inspect_pipeline.worker import Failure, Ready
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.worker import Job
 
 POLL_S = 0.5  # how soon a stop or a late worker is noticed
+START_S = 300.0  # for a free CPU, an interpreter and a detector
 _MAX_FAILED_STARTS = 3
 
 
@@ -153,7 +154,8 @@ class Executor(ABC, Generic[AnyWorker]):
     def run(self, candidates: Iterable[Candidate], run: RunRecord) -> Iterator[Outcome]:
         """The outcome of each recording, in the order they end.
 
-        Raises DetectorError when no worker can start, StoreError when the store cannot be written.
+        Raises DetectorError when no worker can start, StoreError when the store cannot be written,
+        TerrainError when the terrain model is gone.
         """
         queue = deque(_Task(candidate) for candidate in candidates)
         while (queue or any(worker.task for worker in self._workers)) and not self._should_stop():
@@ -193,7 +195,7 @@ class Executor(ABC, Generic[AnyWorker]):
 
     def _settle(self, worker: AnyWorker, message: Any) -> tuple[_Task | None, ProcessResult | Failure | None]:
         """The recording that a message is about, with its result; both None when it is about the worker."""
-        if isinstance(message, StoreError | DetectorError):
+        if isinstance(message, InspectError):
             raise message
         if isinstance(message, Ready):
             self._welcome(worker, message)

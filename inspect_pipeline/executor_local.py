@@ -10,10 +10,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any
 
-from inspect_pipeline.executor import POLL_S, Executor, Worker, signals_blocked
+from inspect_pipeline.errors import DetectorError
+from inspect_pipeline.executor import POLL_S, START_S, Executor, Worker, signals_blocked
 from inspect_pipeline.worker import Failure
 
 if TYPE_CHECKING:
@@ -39,8 +42,10 @@ class _Process(Worker):
                 stdin=subprocess.DEVNULL,
                 stdout=_STDERR,
             )
-        self.connection.send(sys.path)
-        self.connection.send(job)
+        with suppress(OSError):  # it has died, which its first message says
+            self.connection.send(sys.path)
+            self.connection.send(job)
+        self.deadline = time.monotonic() + START_S
 
     def _send(self, path: Path, run: RunRecord) -> bool:
         try:
@@ -67,7 +72,11 @@ class LocalExecutor(Executor[_Process]):
     """Up to `n_workers` processes."""
 
     def _start_worker(self) -> _Process:
-        return _Process(self._job)
+        try:
+            return _Process(self._job)
+        except OSError as error:
+            why = error.strerror or error
+            raise DetectorError(f"no worker can start ({why}); run lsnet-pipe doctor") from error
 
     def _with_message(self) -> list[_Process]:
         ready = wait([worker.connection for worker in self._workers], timeout=POLL_S)

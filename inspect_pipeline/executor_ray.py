@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.errors import DetectorError
-from inspect_pipeline.executor import POLL_S, Executor, Worker, signals_blocked
+from inspect_pipeline.executor import POLL_S, START_S, Executor, Worker, signals_blocked
 from inspect_pipeline.resources import app_version
 from inspect_pipeline.worker import Failure, Service
 
@@ -27,12 +27,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from types import TracebackType
 
-    from inspect_pipeline.errors import StoreError
+    from inspect_pipeline.errors import StoreError, TerrainError
     from inspect_pipeline.flight import RunRecord
     from inspect_pipeline.types import ProcessResult
     from inspect_pipeline.worker import Job, Ready
 
-_START_S = 300.0  # for a free CPU, an interpreter and a detector
 _PING_S = 10.0
 _END_S = 10.0
 _MAX_STARTS = 3  # of a cluster of this machine; Ray waits 30 s for its own processes, a busy machine longer
@@ -82,7 +81,7 @@ class _Actor(Worker):
         self._handle = ray.remote(**options)(RecordingActor).remote()
         threads = os.environ.get("OMP_NUM_THREADS")
         self.pending = self._handle.load.remote(job, app_version(), Path.cwd(), threads)
-        self.deadline = time.monotonic() + _START_S
+        self.deadline = time.monotonic() + START_S
 
     def _send(self, path: Path, run: RunRecord) -> bool:
         self.pending = self._handle.ping.remote()
@@ -132,7 +131,7 @@ class RecordingActor:
     def ping(self) -> None:
         """Return, which a dead actor cannot."""
 
-    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError:
+    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError | TerrainError:
         """What became of a recording."""
         return self._service.process(path, run)
 

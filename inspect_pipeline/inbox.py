@@ -64,10 +64,14 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Discovery:
-    """What was found: recordings, oldest first, and the links that lead out of the inbox, left alone."""
+    """What was found: recordings, oldest first, and what is left alone.
+
+    links_out: links that lead out of the inbox; unreadable: folders within it that may not be read.
+    """
 
     candidates: tuple[Candidate, ...]
     links_out: tuple[Path, ...]
+    unreadable: tuple[Path, ...]
 
 
 def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None = None) -> Discovery:
@@ -78,30 +82,34 @@ def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None 
     """
     candidates: dict[Path, Candidate] = {}
     links_out: dict[Path, None] = {}
+    unreadable: dict[Path, None] = {}
     for inbox in inboxes:
-        for path, root in _paths_of(inbox, without):
+        for path, root in _paths_of(inbox, without, unreadable):
             if root is not None and _leads_out(path, root):
                 links_out[path] = None
             elif (candidate := Candidate.at(path)) and candidate.mtime_ns >= since_ns:
                 candidates[path] = candidate
     ordered = sorted(candidates.values(), key=lambda found: (found.mtime_ns, os.fsencode(found.path)))
-    return Discovery(tuple(ordered), tuple(links_out))
+    return Discovery(tuple(ordered), tuple(links_out), tuple(unreadable))
 
 
-def _paths_of(inbox: str, without: Path | None) -> Iterator[tuple[Path, str | None]]:
+def _paths_of(
+    inbox: str, without: Path | None, unreadable: dict[Path, None]
+) -> Iterator[tuple[Path, str | None]]:
     """Paths with the real path of the folder they must not lead out of; None for a file named by hand."""
     path = Path(inbox).absolute()
     if path.is_dir():
         root = os.path.realpath(path)
         _check_readable(path)
-        yield from ((whole_of(found), root) for found in _walk(path, without))
+        yield from ((whole_of(found), root) for found in _walk(path, without, unreadable))
     elif path.exists():
         yield path, None
     elif glob.has_magic(inbox):
         root = os.path.realpath(_fixed_part(path))
         for match in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207 - absolute
             found = Path(match)
-            below = _walk(found, without) if found.is_dir() and not found.is_symlink() else [found]
+            is_folder = found.is_dir() and not found.is_symlink()
+            below = _walk(found, without, unreadable) if is_folder else [found]
             yield from ((whole_of(each), root) for each in below if _is_recording(each.name))
     else:
         raise InboxError(
@@ -117,9 +125,14 @@ def _check_readable(folder: Path) -> None:
         raise InboxError(folder, f"it cannot be read ({error.strerror})", "check its rights") from error
 
 
-def _walk(folder: Path, without: Path | None) -> Iterator[Path]:
-    """The recordings below a folder; linked folders are not entered."""
-    for parent, names, files in os.walk(folder):
+def _walk(folder: Path, without: Path | None, unreadable: dict[Path, None]) -> Iterator[Path]:
+    """The recordings below a folder; linked folders are not entered, and `unreadable` ones noted."""
+
+    def note(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError):  # it is gone meanwhile
+            unreadable[Path(error.filename)] = None
+
+    for parent, names, files in os.walk(folder, onerror=note):
         names[:] = sorted(name for name in names if Path(parent, name) != without)
         yield from (Path(parent, name) for name in files if _is_recording(name))
 

@@ -122,14 +122,19 @@ class VideoDecoder:
         """The pictures that come out when a packet goes in, or at the end with None."""
         import av  # noqa: PLC0415 - an extra, and slow to import
 
-        if self._codec is None or self._codec.name != self._codec_name:
-            self._codec = _new_codec(self._codec_name)
         try:
+            if self._codec is None or self._codec.name != self._codec_name:
+                self._codec = _new_codec(self._codec_name)
             if data is None:
                 return self._codec.decode(None)
             packet = av.Packet(data)
             packet.pts = number
             return self._codec.decode(packet)
+        except av.codec.codec.UnknownCodecError:
+            why = f"PyAV has no decoder {self._codec_name}; install av from PyPI, which has it"
+            self._settled |= dict.fromkeys(self._wanted, why)
+            self._wanted.clear()
+            return []
         except av.FFmpegError:  # those behind it still have a chance
             return []
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from inspect_pipeline.errors import DetectorError, RecordingError, StoreError
+from inspect_pipeline.errors import DetectorError, RecordingError, StoreError, TerrainError
 from inspect_pipeline.store import Store
 
 if TYPE_CHECKING:
@@ -94,11 +94,11 @@ class Service:
         """The first message."""
         return Ready(self._detector.describe())
 
-    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError:
-        """What became of a recording; a store that cannot be written is not its fault."""
+    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError | TerrainError:
+        """What became of a recording; a store or a terrain model that cannot be used is not its fault."""
         try:
             return self._process(path, self._store, self._detector, self._options, run)
-        except StoreError as error:
+        except (StoreError, TerrainError) as error:
             return error
         except RecordingError as error:
             return Failure("unreadable", str(error))

@@ -1,7 +1,8 @@
-"""A detector for tests of what is around it: no network, the answer is in the picture."""
+"""For tests of what is around them: a detector without a network, a folder that may not be read."""
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +11,22 @@ from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
+    import pytest
     from numpy.typing import NDArray
+
+
+def forbid(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let nobody list a folder, whoever runs the tests."""
+    scan = os.scandir
+
+    def scandir(path: str) -> object:
+        if os.fspath(path) == os.fspath(folder):
+            raise PermissionError(13, "Permission denied", path)
+        return scan(path)
+
+    patch.setattr(os, "scandir", scandir)
 
 
 class FakeDetector:

@@ -20,6 +20,7 @@ from inspect_pipeline.commands.options import (
     WeightsOption,
     WireOption,
     WriteOption,
+    finite,
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from inspect_pipeline.runs import RunSummary
     from inspect_pipeline.store import Store
     from inspect_pipeline.worker import Job
+
+
+_MAX_DAYS = 36_500.0  # nothing is older, and dates do not go back for ever
 
 
 def _parse_tag(text: str) -> str:
@@ -60,13 +64,17 @@ def batch(
         int, typer.Option(min=1, metavar="N", help="Recordings at a time; each keeps several cores busy.")
     ] = 1,
     timeout: Annotated[
-        float, typer.Option(min=0.1, metavar="SECONDS", help="For one attempt at a recording.")
+        float,
+        typer.Option(min=0.1, callback=finite, metavar="SECONDS", help="For one attempt at a recording."),
     ] = 3600.0,
     max_attempts: Annotated[
         int, typer.Option(min=1, metavar="N", help="Before a recording that kills its worker is given up.")
     ] = 3,
     settle: Annotated[
-        float, typer.Option(min=0.0, metavar="SECONDS", help="Unchanged for so long, a file is written.")
+        float,
+        typer.Option(
+            min=0.0, callback=finite, metavar="SECONDS", help="Unchanged for so long, a file is written."
+        ),
     ] = 10.0,
     topic: Annotated[
         list[str] | None,
@@ -91,7 +99,13 @@ def batch(
     ] = None,
     keep_annotated: Annotated[
         float | None,
-        typer.Option(min=0.0, metavar="DAYS", help="Remove annotated copies made longer ago."),
+        typer.Option(
+            min=0.0,
+            max=_MAX_DAYS,
+            callback=finite,
+            metavar="DAYS",
+            help="Remove annotated copies made longer ago.",
+        ),
     ] = None,
     metrics: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write figures for Prometheus, as in lsnet.prom.")

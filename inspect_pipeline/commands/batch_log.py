@@ -27,11 +27,18 @@ _LINES = {
     "recording changed while it was read": "{path}: changed while it was read, left for the next run",
     "recording still being written": "{path}: still being written, left for the next run",
     "link out of the inbox left alone": "{path}: leads out of the inbox, left alone",
+    "folder of the inbox cannot be read": "{path}: cannot be read, left alone; check its rights",
     "annotated copy removed": "annotated copy of flight {flight_id:.16} removed",
     "index published": "index published, {n_flights} flights",
 }
 _ENDS = ("recording done", "recording quarantined", "recording changed while it was read")
-_PROBLEMS = (*_ENDS[1:], "recording damaged", "recording odd", "link out of the inbox left alone")
+_PROBLEMS = (
+    *_ENDS[1:],
+    "recording damaged",
+    "recording odd",
+    "link out of the inbox left alone",
+    "folder of the inbox cannot be read",
+)
 
 
 class LogFormat(StrEnum):

@@ -14,6 +14,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 import duckdb
 import pytest
 from factories import Shot, make_recording, shots
+from fakes import forbid
 from stubs import HANG, LIGHT, RAISE, InlineExecutor, MakeStub
 
 from inspect_pipeline import batch, index
@@ -260,6 +261,28 @@ def test_a_store_that_fails_ends_the_run_and_blames_no_recording(night: Night) -
     assert "a file is where a folder should be" in (summary.error or "")
     assert Quarantine(night.store).notes() == []
     (night.store.root / "flights").unlink()
+
+
+@pytest.mark.parametrize("name", ["spans.geojson", "rules.toml"])
+def test_spans_and_rules_that_are_damaged_end_the_run_and_it_is_told(night: Night, name: str) -> None:
+    night.add("a", 1)
+    night.store.root.mkdir()
+    (night.store.root / name).write_text("{")
+    summary = night.run()
+    assert (summary.exit_code, night.counts(summary)) == (1, {"found": 1, "processed": 1})
+    assert name in (summary.error or "")
+    assert load_runs(night.store) == [summary]
+    assert json.loads((night.store.root / "summary.json").read_text())["exit_code"] == 1
+    assert night.events[-1] == ("batch finished", {"exit_code": 1, "error": summary.error})
+
+
+def test_folders_that_may_not_be_read_are_told(night: Night, monkeypatch: pytest.MonkeyPatch) -> None:
+    night.add("a", 1)
+    closed = night.inbox / "closed"
+    closed.mkdir()
+    forbid(monkeypatch, closed)
+    assert night.counts(night.run()) == {"found": 1, "processed": 1}
+    assert ("folder of the inbox cannot be read", {"path": str(closed)}) in night.events
 
 
 def test_a_stop_leaves_the_rest_untouched(night: Night) -> None:

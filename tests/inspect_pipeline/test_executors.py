@@ -20,19 +20,22 @@ import pytest
 from factories import Shot, make_recording
 from stubs import HANG, KILL, KILL_ONCE, LIGHT, RAISE, MakeStub
 
-from inspect_pipeline.config import ProcessOptions, start_described_run
-from inspect_pipeline.errors import DetectorError, StoreError
+from inspect_pipeline import executor_local
+from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_described_run
+from inspect_pipeline.errors import DetectorError, StoreError, TerrainError
+from inspect_pipeline.executor import Executor, Worker
 from inspect_pipeline.executor_local import LocalExecutor
 from inspect_pipeline.executor_ray import RayExecutor
 from inspect_pipeline.inbox import Candidate
 from inspect_pipeline.store import Store
 from inspect_pipeline.types import ProcessResult
-from inspect_pipeline.worker import Failure, Job
+from inspect_pipeline.worker import Failure, Job, Service
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from inspect_pipeline.executor import Executor, Outcome
+    from inspect_pipeline.executor import Outcome
+    from inspect_pipeline.flight import RunRecord
 
     Begin = Callable[..., Any]
 
@@ -248,6 +251,79 @@ def test_what_no_worker_can_help_ends_the_run(site: Site) -> None:
     (site.folder / "store" / "flights").touch()
     with site.start() as executor, pytest.raises(StoreError, match="a file is where a folder should be"):
         list(executor.run([recording], site.run))
+
+
+class Here(Worker):
+    """A worker without a process."""
+
+    def __init__(self, job: Job) -> None:
+        super().__init__()
+        self._service = Service(job)
+        self._message: object = self._service.ready()
+
+    def _send(self, path: Path, run: RunRecord) -> bool:
+        self._message = self._service.process(path, run)
+        return True
+
+    def receive(self) -> object:
+        return self._message
+
+    def kill(self) -> None:
+        pass
+
+
+class HereExecutor(Executor[Here]):
+    def _start_worker(self) -> Here:
+        return Here(self._job)
+
+    def _with_message(self) -> list[Here]:
+        return self._workers
+
+
+def test_a_terrain_model_that_is_gone_is_no_fault_of_a_recording(tmp_path: Path) -> None:
+    site = Site(tmp_path, HereExecutor)
+    options = ProcessOptions(placing=PlacingOptions(terrain=tmp_path / "gone.tif"))
+    job = Job(site.store.root, options, MakeStub(tmp_path))
+    with (
+        HereExecutor(job, n_workers=1, timeout_s=60.0, max_attempts=3) as executor,
+        pytest.raises(TerrainError, match=r"gone\.tif: cannot be read as a terrain model"),
+    ):
+        list(executor.run([site.recording("a", 1)], site.run))
+
+
+def test_workers_that_die_at_once_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Dead(subprocess.Popen[bytes]):
+        def __init__(self, command: list[str], **options: Any) -> None:
+            super().__init__(["/bin/false"], **options)
+            self.wait()
+
+    monkeypatch.setattr(executor_local.subprocess, "Popen", Dead)
+    with (
+        Site(tmp_path, LocalExecutor).start() as executor,
+        pytest.raises(
+            DetectorError, match=r"^no worker can start \(the worker ended with exit code 1\); run"
+        ),
+    ):
+        executor.describe()
+
+
+def test_workers_that_cannot_be_started_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "gone"))
+    with (
+        Site(tmp_path, LocalExecutor).start() as executor,
+        pytest.raises(DetectorError, match=r"^no worker can start \(No such file or directory\); run"),
+    ):
+        executor.describe()
+
+
+def test_workers_that_never_get_ready_are_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executor_local, "START_S", 0.0)
+    monkeypatch.setattr(executor_local, "POLL_S", 0.0)
+    with (
+        Site(tmp_path, LocalExecutor).start() as executor,
+        pytest.raises(DetectorError, match=r"^no worker can start \(not ready in time\); run"),
+    ):
+        executor.describe()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "[::1]:9"])

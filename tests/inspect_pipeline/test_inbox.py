@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+from fakes import forbid
 
 from inspect_pipeline.errors import InboxError
 from inspect_pipeline.inbox import Candidate, discover
@@ -73,6 +74,16 @@ def test_an_inbox_that_may_not_be_read_is_no_empty_one(inbox: Path, monkeypatch:
     monkeypatch.setattr(Path, "iterdir", refuse)
     with pytest.raises(InboxError, match=f"{inbox}: it cannot be read .Permission denied.; check its rights"):
         found(inbox)
+
+
+def test_folders_within_that_may_not_be_read_are_named(inbox: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, closed = add(inbox / "day 1" / "b.mcap"), inbox / "closed"
+    closed.mkdir()
+    forbid(monkeypatch, closed)
+    for named in (inbox, f"{inbox}/*"):
+        discovery = discover([str(named), str(named)])
+        assert [candidate.path for candidate in discovery.candidates] == [path]
+        assert discovery.unreadable == (closed,)
 
 
 def bag(folder: Path, *parts: str) -> Path:

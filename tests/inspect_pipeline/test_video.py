@@ -271,6 +271,14 @@ def test_a_video_begins_at_a_key_frame_and_survives_lost_packets(tmp_path: Path,
     assert looks_like(frames[13].image) == 16  # a key frame mends what was lost
 
 
+def test_a_codec_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = record(tmp_path / "a.mcap", dict(enumerate(encode("h264", 2))), protobuf("h264"))
+    monkeypatch.setattr("inspect_pipeline.video._codec_name", lambda _: "h264_of_nobody")
+    monkeypatch.setattr("inspect_pipeline.video.key_of", lambda *_: "closed")
+    errors = [frame.error for frame in iter_frames(open_recording(path))]
+    assert errors == ["PyAV has no decoder h264_of_nobody; install av from PyPI, which has it"] * 2
+
+
 def test_video_without_pyav_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("inspect_pipeline.images.can_decode", lambda: False)
     recording = open_recording(

@@ -23,7 +23,7 @@ from lsnet.losses import MultiTaskLoss, ordered_error
 from lsnet.model import PRESETS, LSNet, LSNetConfig
 from lsnet.runtime import OpenVinoBackend, TorchBackend
 from lsnet.speed import least_cpu_ms
-from lsnet.train import TrainConfig, Trainer
+from lsnet.train import TrainConfig, Trainer, loader
 from lsnet.weights import Weights, WeightsCard
 
 if TYPE_CHECKING:
@@ -35,18 +35,16 @@ if TYPE_CHECKING:
 FAST = PRESETS["fast"]
 RESULTS_FILE = "results.jsonl"
 VALIDATION_IMAGES = 128  # the last ones of the set
-VALIDATION_CROP = 192
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One network with one loss; `seed` of its first weights and its crops, squares of `crop` pixels."""
+    """One network with one loss; `seed` of its first weights and its crops."""
 
     name: str
     network: LSNetConfig = FAST
     loss: MultiTaskLoss = field(default_factory=MultiTaskLoss)
     seed: int = 0
-    crop: int = 192
 
 
 NETWORKS = (
@@ -54,14 +52,9 @@ NETWORKS = (
     Candidate("fast, another seed", seed=1),
     Candidate("wider", replace(FAST, stem_channels=24, stage_channels=(32, 64, 128), head_channels=128)),
     Candidate("narrower", replace(FAST, stage_channels=(24, 32, 64), head_channels=64)),
-    Candidate("late", replace(FAST, stage_channels=(16, 48, 128))),
     Candidate("no context block", replace(FAST, context_blocks=0)),
-    Candidate("two context blocks", replace(FAST, context_blocks=2)),
     Candidate("deep", replace(FAST, stage_blocks=2)),
     Candidate("GroupNorm", replace(FAST, norm="group")),
-    Candidate("head of 48", replace(FAST, head_channels=48)),
-    Candidate("crops of 128", crop=128),
-    Candidate("crops of 272", crop=272),
 )
 ABLATIONS = (
     Candidate("fast"),
@@ -84,7 +77,8 @@ class Comparison:
     sets: tuple[Path, ...]  # folders with pixel truth to evaluate on
     images: int = 3700
     steps: int = 4000
-    batch_px: int = 4 * 192 * 192  # whatever the crops, a batch holds as many pixels
+    batch_size: int = 4
+    crop: int = 192
     seed: int = 7
 
     @property
@@ -170,24 +164,19 @@ def run_candidate(
     if candidate.name in kept:
         return kept[candidate.name]
     trainer = _trainer(comparison, candidate)
-    train_on = Crops.of(comparison.drawn, 0, comparison.images, size=candidate.crop, seed=candidate.seed)
+    train_on = Crops.of(comparison.drawn, 0, comparison.images, size=comparison.crop, seed=candidate.seed)
     last = comparison.images + VALIDATION_IMAGES
     validate_on = Crops.of(
-        comparison.drawn, comparison.images, last, size=VALIDATION_CROP, seed=comparison.seed
+        comparison.drawn, comparison.images, last, size=comparison.crop, seed=comparison.seed
     )
-    losses = []
-
-    def keep(progress: object) -> None:
-        losses.append(getattr(progress, "validation_loss", None))
-        report(trainer.step)
-
-    trainer.run(train_on, validate_on, report=keep)
-    net = trainer.average.eval()
+    trainer.run(train_on, validate_on, report=lambda _progress: report(trainer.step))
+    net = trainer.average
+    validation = list(loader(validate_on, range(VALIDATION_IMAGES), trainer.config))
     result = Result(
         name=candidate.name,
         parameters=sum(p.numel() for p in net.parameters()),
         steps=comparison.steps,
-        validation_loss=next((loss for loss in reversed(losses) if loss is not None), trainer.best_loss),
+        validation_loss=trainer.validate(validation),
         ods=score(net, comparison.sets, main_grid_only=candidate.loss.main_grid_only),
     )
     with (comparison.folder / RESULTS_FILE).open("a") as log:
@@ -199,7 +188,7 @@ def _trainer(comparison: Comparison, candidate: Candidate) -> Trainer:
     config = TrainConfig(
         preset=candidate.name,
         steps=comparison.steps,
-        batch_size=max(1, round(comparison.batch_px / candidate.crop**2)),
+        batch_size=comparison.batch_size,
         warmup_steps=min(100, comparison.steps),
         validate_every=max(1, comparison.steps // 2),
         validation_images=VALIDATION_IMAGES,

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compare_data, "DRAWN_PX", 96)
     monkeypatch.setattr("lsnet.compare.VALIDATION_IMAGES", 2)
-    monkeypatch.setattr("lsnet.compare.VALIDATION_CROP", 64)
 
 
 @pytest.mark.usefixtures("small")
@@ -71,8 +70,8 @@ def test_crops_move_the_lines_with_the_image() -> None:
 @pytest.mark.usefixtures("small")
 def test_what_has_a_result_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lsnet.compare.cpu_ms_of", lambda _network: {"torch": 1.5})
-    comparison = Comparison(tmp_path, (), (write_masks(tmp_path / "masked"),), images=4, steps=2)
-    first, second = Candidate("a", TINY, crop=64), Candidate("b", replace(TINY, stage_blocks=2), crop=48)
+    comparison = Comparison(tmp_path, (), (write_masks(tmp_path / "masked"),), images=4, steps=2, crop=64)
+    first, second = Candidate("a", TINY), Candidate("b", replace(TINY, stage_blocks=2))
     told: list[tuple[str, int]] = []
     rows = compare_all(comparison, (first,), workers=0)
     again = compare_all(comparison, (first, second), workers=0, report=lambda *words: told.append(words))

@@ -55,6 +55,7 @@ NETWORKS = (
     Candidate("no context block", replace(FAST, context_blocks=0)),
     Candidate("deep", replace(FAST, stage_blocks=2)),
     Candidate("GroupNorm", replace(FAST, norm="group")),
+    Candidate("head of 48", replace(FAST, head_channels=48)),
 )
 ABLATIONS = (
     Candidate("fast"),

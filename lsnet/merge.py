@@ -47,9 +47,7 @@ class MergeConfig:
     max_bridge_px: float = 60.0  # along the line, between chains that go on in each other's direction
     max_spread_px: float = 1.5  # of a chain's segments about its polyline; a wider chain is taken apart
     min_length_px: float = 40.0  # a shorter chain is no line
-    even_length: float = (
-        1.35  # of the image's shorter side: the length at which a line is as sure as its segments
-    )
+    even_length: float = 1.35  # of the image's shorter side, at which a line is as sure as its segments
     witnesses: float = 2.0  # cells that tell each stretch of a line, of four, for all of its length to count
     step_px: float = 16.0  # between the points of a polyline, before it is simplified
     flatness_px: float = 0.4  # how far simplifying may move it

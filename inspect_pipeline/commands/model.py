@@ -58,7 +58,10 @@ def train(
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
     start: Annotated[
         str | None,
-        typer.Option(metavar="WEIGHTS", help="Begin with these: a shipped name, .safetensors or best.pt."),
+        typer.Option(
+            metavar="WEIGHTS",
+            help="Begin with these: a shipped name, .safetensors (of a wider network too) or best.pt.",
+        ),
     ] = None,
 ) -> None:
     """Train a network on drawn cables, or on your own labelled images (labelme or COCO).

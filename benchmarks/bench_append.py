@@ -21,10 +21,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from measure import alternate, conclude, measured, median_ratio, print_run, print_table
 
-from inspect_pipeline.annotations_protobuf import encode_image_annotations, image_annotations_schema
-from inspect_pipeline.recording import open_recording
-from inspect_pipeline.types import Frame
-from inspect_pipeline.writeback import annotated_copy
+from inspect_pipeline.annotations.protobuf import encode_image_annotations, image_annotations_schema
+from inspect_pipeline.recording.append import annotated_copy
+from inspect_pipeline.recording.reader import open_recording
+from inspect_pipeline.recording.types import Frame
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from foxglove_schemas_protobuf.Point2_pb2 import Point2
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from measure import alternate, conclude, measured, median_ratio, print_run, print_table
 
-from inspect_pipeline.annotations_protobuf import encode_image_annotations
-from inspect_pipeline.types import Frame
+from inspect_pipeline.annotations.protobuf import encode_image_annotations
+from inspect_pipeline.recording.types import Frame
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:

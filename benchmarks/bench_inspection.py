@@ -31,9 +31,9 @@ from bench_queries import measure_queries
 from inspection_cases import Case, Outcome, put_recording, run_case
 from inspection_truth import ABOUT_CONDUCTORS, COVERAGES, KINDS
 
-from inspect_pipeline import index
-from inspect_pipeline.simulate_options import FaultKind, FlightKind
-from inspect_pipeline.store import Store
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.simulation.options import FaultKind, FlightKind
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

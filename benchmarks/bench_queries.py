@@ -24,9 +24,9 @@ from typing import Any
 
 import duckdb
 
-from inspect_pipeline.named_queries import NamedQuery, named_queries
+from inspect_pipeline.index.flight_tables import create_tables
+from inspect_pipeline.index.named_queries import NamedQuery, named_queries
 from inspect_pipeline.resources import read_schema
-from inspect_pipeline.tables import create_tables
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "sql.md"
 SETUP = Path(__file__).with_name("index_of_numbers.sql")

@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from measure import conclude, measured
 
-from inspect_pipeline import index
-from inspect_pipeline.flight import FlightRecord, ModelRecord, RunRecord
-from inspect_pipeline.store import Store
-from inspect_pipeline.tables import FlightWriter
-from inspect_pipeline.types import CameraChannel, Frame
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.flight_tables import FlightWriter
+from inspect_pipeline.recording.types import CameraChannel, Frame
+from inspect_pipeline.store.records import FlightRecord, ModelRecord, RunRecord
+from inspect_pipeline.store.store import Store
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
-    from inspect_pipeline.flight import FlightTotals
+    from inspect_pipeline.store.records import FlightTotals
 
 N_FLIGHTS, N_FRAMES, N_SEGMENTS, N_LINES = 20, 500, 12, 4
 START_NS, PERIOD_NS = 1_800_000_000_000_000_000, 100_000_000

@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from measure import conclude
 
-from inspect_pipeline.attitude import YawPitchRoll
-from inspect_pipeline.simulate_options import FaultKind, FlightKind, SimulationOptions
-from inspect_pipeline.simulate_truth import simulate_truth
-from inspect_pipeline.tracks import LineTracker, Moment
-from inspect_pipeline.tracks_motion import UnsteadyTurn
+from inspect_pipeline.geometry.attitude import YawPitchRoll
+from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
+from inspect_pipeline.simulation.truth import simulate_truth
+from inspect_pipeline.tracking.camera_motion import UnsteadyTurn
+from inspect_pipeline.tracking.tracker import LineTracker, Moment
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from inspect_pipeline.simulate_types import FrameTruth
+    from inspect_pipeline.simulation.records import FrameTruth
 
     Floats = NDArray[np.float64]
 

@@ -13,24 +13,24 @@ import cv2
 import numpy as np
 from inspection_truth import coverage_errors, match, true_coverage
 
-from inspect_pipeline import index
 from inspect_pipeline.config import ProcessOptions, start_run
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.pipeline import process
-from inspect_pipeline.simulate import simulate_flight
-from inspect_pipeline.simulate_options import FaultKind, FlightKind, SimulationOptions
-from inspect_pipeline.simulate_plan import plan_flight
-from inspect_pipeline.simulate_truth import truth_of
-from inspect_pipeline.spans import import_spans
-from inspect_pipeline.store import Store
+from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
+from inspect_pipeline.simulation.plan import plan_flight
+from inspect_pipeline.simulation.truth import truth_of
+from inspect_pipeline.simulation.write import simulate_flight
+from inspect_pipeline.store.store import Store
 from lsnet import Detector
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "helpers"))
 import inspected  # after lsnet, of which the tests have a folder too
 
 if TYPE_CHECKING:
     from collections import Counter
 
-    from inspect_pipeline.simulate_types import FlightTruth
+    from inspect_pipeline.simulation.records import FlightTruth
 
 _FPS = 4.0
 _TRUE_S, _DRAWN_S = 40.0, 20.0

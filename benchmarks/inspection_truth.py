@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inspect_pipeline.simulate_options import FaultKind
+from inspect_pipeline.simulation.options import FaultKind
 
 if TYPE_CHECKING:
-    from inspect_pipeline.simulate_plan import FlightPlan
-    from inspect_pipeline.simulate_types import FlightTruth
+    from inspect_pipeline.simulation.plan import FlightPlan
+    from inspect_pipeline.simulation.records import FlightTruth
 
 KINDS = {
     FaultKind.MISSING_CONDUCTOR: "conductor_count",

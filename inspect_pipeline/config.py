@@ -10,14 +10,14 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
-from inspect_pipeline.flight import RESULT_VERSION, ModelRecord, RunRecord
 from inspect_pipeline.resources import app_version
+from inspect_pipeline.store.records import RESULT_VERSION, ModelRecord, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from inspect_pipeline.types import SchemaName, WriteMode
+    from inspect_pipeline.recording.types import SchemaName, WriteMode
     from lsnet import Detector
 
 
@@ -99,7 +99,7 @@ def _describe_placing(placing: PlacingOptions) -> dict[str, Any]:
     path = told.pop("terrain")
     if path is None:
         return told
-    from inspect_pipeline.elevation import digest  # noqa: PLC0415 - loads much, and few need it
+    from inspect_pipeline.geometry.terrain import digest  # noqa: PLC0415 - loads much, and few need it
 
     return told | {"terrain_sha256": digest(path)}
 

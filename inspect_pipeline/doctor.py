@@ -13,7 +13,7 @@ from inspect_pipeline.errors import InspectError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from inspect_pipeline.store import Store
+    from inspect_pipeline.store.store import Store
 
 _PACKAGES = ("torch", "openvino", "duckdb", "mcap", "opencv-python-headless", "numpy")
 

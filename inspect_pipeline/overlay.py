@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import OutputError, QueryError
-from inspect_pipeline.files import appearing
-from inspect_pipeline.query import run_query
-from inspect_pipeline.recording_frames import iter_frames
-from inspect_pipeline.sources import open_images
+from inspect_pipeline.index.query import run_query
+from inspect_pipeline.recording.frames import iter_frames
+from inspect_pipeline.recording.source import open_images
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from inspect_pipeline.store import Store
+    from inspect_pipeline.store.store import Store
 
 _FRAME = """
 SELECT f.flight_id, f.frame_idx, f.log_time_ns, c.topic,

@@ -13,30 +13,30 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
-from inspect_pipeline.annotations import FrameAnnotator
+from inspect_pipeline.annotations.annotator import FrameAnnotator
 from inspect_pipeline.config import model_record, run_metadata
-from inspect_pipeline.flight import ANNOTATED, SIDECAR, FlightRecord
-from inspect_pipeline.placing import FramePlacer
-from inspect_pipeline.quality import ImageQuality, measure_quality
-from inspect_pipeline.recording import RUN_METADATA
-from inspect_pipeline.recording_frames import iter_frames
-from inspect_pipeline.sources import open_source
-from inspect_pipeline.stamps import StampCheck
-from inspect_pipeline.tables import FlightWriter
-from inspect_pipeline.types import ProcessResult
-from inspect_pipeline.writeback import annotated_copy, sidecar, unchanged
+from inspect_pipeline.georeference.frames import FramePlacer
+from inspect_pipeline.images.quality import ImageQuality, measure_quality
+from inspect_pipeline.index.flight_tables import FlightWriter
+from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
+from inspect_pipeline.recording.frames import iter_frames
+from inspect_pipeline.recording.reader import RUN_METADATA
+from inspect_pipeline.recording.source import open_source
+from inspect_pipeline.recording.stamps import StampCheck
+from inspect_pipeline.recording.types import ProcessResult
+from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from inspect_pipeline.config import ProcessOptions
-    from inspect_pipeline.flight import FlightTotals, ModelRecord, RunRecord
-    from inspect_pipeline.recording import Recording
-    from inspect_pipeline.sources import Source
-    from inspect_pipeline.store import Store
-    from inspect_pipeline.types import CameraChannel, Frame
-    from inspect_pipeline.writeback import AnnotationWriter
+    from inspect_pipeline.recording.append import AnnotationWriter
+    from inspect_pipeline.recording.reader import Recording
+    from inspect_pipeline.recording.source import Source
+    from inspect_pipeline.recording.types import CameraChannel, Frame
+    from inspect_pipeline.store.records import FlightTotals, ModelRecord, RunRecord
+    from inspect_pipeline.store.store import Store
     from lsnet import Detections, Detector
 
 _FILES = {"copy": ANNOTATED, "sidecar": SIDECAR, "none": None}

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from lsnet.chaining import MergeConfig, merge_with_owners
 from lsnet.errors import LSNetError
 from lsnet.geometry import clip_to_boxes
 from lsnet.grid import GridCoder
-from lsnet.merge import MergeConfig, merge_with_owners
 from lsnet.runtime import open_backend
 from lsnet.segments import Detections, Segments
 from lsnet.tiles import STRIDE_PX, join, tiles_of

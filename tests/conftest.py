@@ -16,7 +16,8 @@ import pytest
 import typer.main
 import typer.testing
 
-from inspect_pipeline import simulate, simulate_ground
+from inspect_pipeline.simulation import ground as simulate_ground
+from inspect_pipeline.simulation import write as simulate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -21,7 +22,6 @@ import lsnet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 HELP = (
     "",
@@ -468,7 +468,7 @@ def test_interrupted_after_a_clean_stop(tmp_path: Path, number: signal.Signals, 
         "lsnet.Detector = fakes.FakeDetector\n"
         "cli.main()"
     )
-    environment = {**os.environ, "PYTHONPATH": os.path.dirname(__file__)}  # noqa: PTH120
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).with_name("helpers"))}
     command = [sys.executable, "-c", program, "process", "a.mcap", "--store", "store"]
     child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
     staging = tmp_path / "store" / "staging"

@@ -17,8 +17,9 @@ from stubs import InlineExecutor, make_stub_in_cwd
 from terrain import write_dem
 
 import cli
-from inspect_pipeline import batch, worker
-from inspect_pipeline.store import Store
+from inspect_pipeline.batch import run as batch
+from inspect_pipeline.batch import worker
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable

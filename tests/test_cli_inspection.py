@@ -14,14 +14,14 @@ from inline_queries import answer_here
 from typer.testing import CliRunner
 
 import cli
-from inspect_pipeline import index
 from inspect_pipeline.errors import QueryError, StoreError
-from inspect_pipeline.named_queries import named_queries
-from inspect_pipeline.simulate_options import FaultKind, SimulationOptions
-from inspect_pipeline.simulate_truth import simulate_truth
-from inspect_pipeline.spans import import_spans
-from inspect_pipeline.store import Store
-from inspect_pipeline.told import load_reviews, load_tags
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.named_queries import named_queries
+from inspect_pipeline.inspection.spans import import_spans
+from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
+from inspect_pipeline.simulation.truth import simulate_truth
+from inspect_pipeline.store.feedback import load_reviews, load_tags
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from pathlib import Path

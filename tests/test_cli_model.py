@@ -14,7 +14,10 @@ from nets import TINY, save_tiny
 from typer.testing import CliRunner
 
 import cli
-from lsnet import LSNetError, checkpoints, compare, load_weights, model, train
+from lsnet import LSNetError, load_weights, model
+from lsnet.evaluation.compare import compare
+from lsnet.training import checkpoints
+from lsnet.training import trainer as train
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

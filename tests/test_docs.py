@@ -24,7 +24,7 @@ import cli
 import lsnet
 from inspect_pipeline.commands import index as index_commands
 from inspect_pipeline.commands import model as model_commands
-from inspect_pipeline.simulate import SimulationOptions, simulate_flight
+from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -10,8 +10,8 @@ import documented
 import duckdb
 import pytest
 
-from inspect_pipeline import index
-from inspect_pipeline.store import Store
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

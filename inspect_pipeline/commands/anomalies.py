@@ -45,9 +45,9 @@ def list_anomalies(
 
     Example: lsnet-pipe anomalies list --all --json
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.flights import find_flights
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.index.flights import find_flights
+    from inspect_pipeline.store.store import Store, store_path
 
     source = Store(store_path(store))
     chosen = find_flights(source, flight) if flight else []
@@ -74,9 +74,9 @@ def mark(
 
     Example: lsnet-pipe anomalies mark 0a1b2c3d4e5f dismissed --note "a bird"
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.store import Store, store_path
-    from inspect_pipeline.told import add_review
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.store.feedback import add_review
+    from inspect_pipeline.store.store import Store, store_path
 
     target = Store(store_path(store))
     rows = index.select(target, "SELECT * FROM anomalies WHERE anomaly_id = ?", [anomaly_id])

@@ -24,13 +24,13 @@ from inspect_pipeline.commands.options import (
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
-from inspect_pipeline.types import ExecutorName
+from inspect_pipeline.recording.types import ExecutorName
 
 if TYPE_CHECKING:
-    from inspect_pipeline.batch import BatchOptions, Report
-    from inspect_pipeline.runs import RunSummary
-    from inspect_pipeline.store import Store
-    from inspect_pipeline.worker import Job
+    from inspect_pipeline.batch.run import BatchOptions, Report
+    from inspect_pipeline.batch.worker import Job
+    from inspect_pipeline.store.runs import RunSummary
+    from inspect_pipeline.store.store import Store
 
 
 _MAX_DAYS = 36_500.0  # nothing is older, and dates do not go back for ever
@@ -121,16 +121,16 @@ def batch(
 
     Example: lsnet-pipe batch /data/inbox --store /data/inspections --tag line=L12
     """
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.store.store import Store, store_path
 
     the_store = Store(store_path(store))
     if not dry_run:
         with the_store.batch_lock():  # a second batch ends here, before what is slow to import
             pass
 
-    from inspect_pipeline.batch import BatchOptions
+    from inspect_pipeline.batch.run import BatchOptions
+    from inspect_pipeline.batch.worker import Job, LoadDetector
     from inspect_pipeline.config import PlacingOptions, ProcessOptions
-    from inspect_pipeline.worker import Job, LoadDetector
 
     process_options = ProcessOptions(
         tuple(topic) if topic else None,
@@ -162,7 +162,7 @@ def batch(
 
 
 def _print_plan(store: Store, job: Job, options: BatchOptions, report: Report) -> None:
-    from inspect_pipeline.batch import plan_batch
+    from inspect_pipeline.batch.run import plan_batch
 
     for candidate in plan_batch(store, job, options, report):
         typer.echo(printable(os.fspath(candidate.path)))
@@ -178,17 +178,17 @@ def _run(
     on_finish: str | None,
 ) -> int:
     """Run a batch and tell everybody who asked; the exit code."""
-    from inspect_pipeline.batch import run_batch
-    from inspect_pipeline.runs import notify
-    from inspect_pipeline.stopping import stop_on_signals
+    from inspect_pipeline.batch.run import run_batch
+    from inspect_pipeline.batch.stop_request import stop_on_signals
+    from inspect_pipeline.store.runs import notify
 
     with stop_on_signals() as stop:
         summary = run_batch(store, job, options, report, stop)
     _print_summary(summary)
     if metrics:
-        from inspect_pipeline.metrics import write_metrics
-        from inspect_pipeline.quarantine import Quarantine
-        from inspect_pipeline.runs import load_runs
+        from inspect_pipeline.batch.prometheus import write_metrics
+        from inspect_pipeline.batch.quarantine import Quarantine
+        from inspect_pipeline.store.runs import load_runs
 
         batches = [run for run in load_runs(store) if run.run.command == "batch"]
         write_metrics(metrics, batches, len(Quarantine(store).notes()))

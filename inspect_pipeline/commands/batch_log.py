@@ -15,7 +15,7 @@ from inspect_pipeline.commands.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from inspect_pipeline.batch import Report
+    from inspect_pipeline.batch.run import Report
     from inspect_pipeline.commands.progress import Advance
 
 _LINES = {

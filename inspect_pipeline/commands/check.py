@@ -28,10 +28,10 @@ def check(
 
     Example: lsnet-pipe check --rules strict.toml
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.check import check_flights
-    from inspect_pipeline.flights import find_flights
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.index.check import check_flights
+    from inspect_pipeline.index.flights import find_flights
+    from inspect_pipeline.store.store import Store, store_path
 
     source = Store(store_path(store))
     every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"

@@ -18,7 +18,7 @@ from inspect_pipeline.commands.options import (
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
-    from inspect_pipeline.photographs import Photograph
+    from inspect_pipeline.photos import Photograph
 
 
 def detect(
@@ -38,7 +38,7 @@ def detect(
 
     Example: lsnet-pipe detect tower.jpg --json --min-score 0.3
     """
-    from inspect_pipeline.photographs import check_outputs, detect_in, write_map, write_overlay
+    from inspect_pipeline.photos import check_outputs, detect_in, write_map, write_overlay
     from lsnet import Detector
 
     check_outputs(images, draw, confidence)

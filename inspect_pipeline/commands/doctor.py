@@ -13,7 +13,7 @@ def doctor(store: StoreOption = None) -> None:
     Example: lsnet-pipe doctor
     """
     from inspect_pipeline.doctor import examine
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.store.store import Store, store_path
 
     is_ok = True
     for finding in examine(Store(store_path(store))):

@@ -29,8 +29,8 @@ def list_flights(store: StoreOption = None, as_json: JsonOption = False) -> None
 
     Example: lsnet-pipe flights list --json
     """
-    from inspect_pipeline.flights import describe_flights
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index.flights import describe_flights
+    from inspect_pipeline.store.store import Store, store_path
 
     for flight in describe_flights(Store(store_path(store)), []):
         if as_json:
@@ -49,8 +49,8 @@ def show(flight: FlightArgument, store: StoreOption = None, as_json: JsonOption 
 
     Example: lsnet-pipe flights show 42c8f628
     """
-    from inspect_pipeline.flights import describe_flights, find_flight
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index.flights import describe_flights, find_flight
+    from inspect_pipeline.store.store import Store, store_path
 
     source = Store(store_path(store))
     (told,) = describe_flights(source, [find_flight(source, flight)])
@@ -67,9 +67,9 @@ def rm(flight: FlightArgument, store: StoreOption = None) -> None:
 
     Example: lsnet-pipe flights rm 42c8f628261a909a
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.flights import find_flight
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.index.flights import find_flight
+    from inspect_pipeline.store.store import Store, store_path
 
     target = Store(store_path(store))
     flight_id = find_flight(target, flight)
@@ -88,10 +88,10 @@ def tag(
 
     Example: lsnet-pipe flights tag 42c8f628 line=L12 pilot=kim
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.flights import find_flight
-    from inspect_pipeline.store import Store, store_path
-    from inspect_pipeline.told import add_tag
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.index.flights import find_flight
+    from inspect_pipeline.store.feedback import add_tag
+    from inspect_pipeline.store.store import Store, store_path
 
     target = Store(store_path(store))
     pairs = [one.partition("=") for one in tags]

@@ -19,8 +19,8 @@ def rebuild(store: StoreOption = None) -> None:
 
     Example: lsnet-pipe index rebuild --store /data/inspections
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.store.store import Store, store_path
 
     change = index.rebuild(Store(store_path(store)))
     for folder in change.damaged:
@@ -36,8 +36,8 @@ def verify(store: StoreOption = None) -> None:
 
     Example: lsnet-pipe index verify
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.store.store import Store, store_path
 
     problems = index.verify(Store(store_path(store)))
     for problem in problems:

@@ -13,7 +13,7 @@ from inspect_pipeline.commands.batch_log import printable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from inspect_pipeline.recording import Recording
+    from inspect_pipeline.recording.reader import Recording
 
 
 def info(
@@ -25,7 +25,7 @@ def info(
 
     Example: lsnet-pipe info flight.mcap
     """
-    from inspect_pipeline.sources import open_source
+    from inspect_pipeline.recording.source import open_source
 
     source = open_source(file)
     if len(source.parts) > 1:
@@ -58,8 +58,8 @@ def _describe(recording: Recording) -> Iterator[str]:
 
 
 def _describe_poses(recording: Recording) -> Iterator[str]:
-    from inspect_pipeline.calibrations import read_intrinsics
-    from inspect_pipeline.poses import read_poses
+    from inspect_pipeline.georeference.poses import read_poses
+    from inspect_pipeline.messages.calibration import read_intrinsics
 
     track = read_poses(recording)
     counts = {

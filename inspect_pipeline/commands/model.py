@@ -14,7 +14,7 @@ from inspect_pipeline.commands.options import JsonOption, RuntimeOption, Weights
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
-    from lsnet.train import Progress
+    from lsnet.training.trainer import Progress
 
 app = typer.Typer(
     help="Train, export, evaluate and time a network.",
@@ -74,8 +74,8 @@ def train(
     """
     from lsnet.errors import LSNetError
     from lsnet.model import PRESETS
-    from lsnet.recipe import TrainingData, open_sources
-    from lsnet.train import TrainConfig, Trainer
+    from lsnet.training.sources import TrainingData, open_sources
+    from lsnet.training.trainer import TrainConfig, Trainer
 
     if preset not in PRESETS:
         raise LSNetError(f"no preset {preset!r}; choose one of {', '.join(PRESETS)}")
@@ -120,7 +120,7 @@ def export(
 
     Example: lsnet-pipe model export --run runs/a --name mine -o mine.safetensors --min-score 0.4
     """
-    from lsnet.recipe import export_run
+    from lsnet.training.sources import export_run
 
     sha256 = export_run(run, output, name, min_score, metrics)
     typer.echo(f"{output}: {name}, sha256 {sha256}")
@@ -173,7 +173,7 @@ def evaluate(
 
     Example: lsnet-pipe model eval --synthetic 200 --background photos/without_lines
     """
-    from lsnet.evaluate_all import EvalTask, evaluate_all, open_finder
+    from lsnet.evaluation.report import EvalTask, evaluate_all, open_finder
 
     task = EvalTask(tuple(folders or ()), use.value, paper, synthetic, tuple(background or ()))
     finder, own = open_finder(weights, runtime, rival, grids)
@@ -205,8 +205,8 @@ def compare(
 
     Example: lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
     """
-    from lsnet.compare import CANDIDATES, Comparison, compare_all
-    from lsnet.compare_table import table, write_chart
+    from lsnet.evaluation.compare.compare import CANDIDATES, Comparison, compare_all
+    from lsnet.evaluation.compare.table import table, write_chart
 
     comparison = Comparison(run, tuple(background or ()), tuple(folders), images, steps)
     candidates = CANDIDATES[what.value]
@@ -236,7 +236,7 @@ def synth(
 
     Example: lsnet-pipe model synth --count 1000 -o renders --light hdri --workers 8
     """
-    from lsnet.synth.pictures import render_many
+    from lsnet.synth.pbr.pictures import render_many
 
     with progress_bar("synth", count) as advance:
         render_many(output, count, lights=light, size=size, seed=seed, workers=workers, on_image=advance)
@@ -264,7 +264,7 @@ def mine(
     Example: lsnet-pipe model train --run runs/b --start fast --background photos:500 --background hard
     """
     from lsnet import Detector
-    from lsnet.synth.mining import mine, named_photos
+    from lsnet.training.hard_negatives import mine, named_photos
 
     detector = Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)
     n_squares = 0
@@ -290,7 +290,7 @@ def bench(
 
     Example: lsnet-pipe model bench --json --size 512 --images photos
     """
-    from lsnet.speed import measure_speed
+    from lsnet.evaluation.speed import measure_speed
 
     result = measure_speed(weights, runtime, size, images, seconds)
     typer.echo(json.dumps(asdict(result)) if as_json else str(result))

@@ -23,7 +23,7 @@ def overlay(
     Example: lsnet-pipe overlay 3f2a --frame 12 -o frame.png
     """
     from inspect_pipeline.overlay import draw_overlay, write_picture
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.store.store import Store, store_path
 
     drawn = draw_overlay(Store(store_path(store)), flight, frame)
     write_picture(output, drawn.image)

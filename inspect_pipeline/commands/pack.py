@@ -25,7 +25,7 @@ def pack(
 
     Example: lsnet-pipe pack DCIM/100MEDIA flight.mcap
     """
-    from inspect_pipeline import pack as packing
+    from inspect_pipeline.convert import pack as packing
 
     result = packing.pack(source, target)
     for warning in result.warnings:

@@ -28,7 +28,7 @@ from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
     from inspect_pipeline.errors import InspectError
-    from inspect_pipeline.types import ProcessResult
+    from inspect_pipeline.recording.types import ProcessResult
 
 _ROW = (
     "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>12}  {n_segments:>10}  {seconds:>7}  {source}"
@@ -77,7 +77,7 @@ def process(
 
     from inspect_pipeline import config
     from inspect_pipeline.errors import InspectError, StoreError
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.store.store import Store, store_path
 
     options = config.ProcessOptions(
         tuple(topic) if topic else None,
@@ -95,8 +95,9 @@ def process(
     if not there:
         raise typer.Exit(exit_code)
 
-    from inspect_pipeline import index, pipeline
-    from inspect_pipeline.runs import save_run, summarize_process
+    from inspect_pipeline import pipeline
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.store.runs import save_run, summarize_process
     from lsnet import Detector
 
     detector = Detector.load(weights, scale=scale, min_score=min_score)
@@ -136,7 +137,7 @@ def process(
 def _those_that_are_there(files: list[Path]) -> tuple[list[Path], int]:
     """The recordings that a detector is worth loading for; of the others the errors are told."""
     from inspect_pipeline.errors import InspectError
-    from inspect_pipeline.sources import check_source
+    from inspect_pipeline.recording.source import check_source
 
     there, exit_code = [], 0
     for path in files:

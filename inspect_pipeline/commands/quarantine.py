@@ -23,8 +23,8 @@ def list_notes(store: StoreOption = None, as_json: JsonOption = False) -> None:
 
     Example: lsnet-pipe quarantine list --json
     """
-    from inspect_pipeline.quarantine import Quarantine
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.batch.quarantine import Quarantine
+    from inspect_pipeline.store.store import Store, store_path
 
     for note in Quarantine(Store(store_path(store))).notes():
         if as_json:
@@ -46,8 +46,8 @@ def retry(
 
     Example: lsnet-pipe quarantine retry 42c8f628261a909a
     """
-    from inspect_pipeline.quarantine import Quarantine
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.batch.quarantine import Quarantine
+    from inspect_pipeline.store.store import Store, store_path
 
     quarantine = Quarantine(Store(store_path(store)))
     notes = {note.note_id: note for note in quarantine.notes()}
@@ -66,8 +66,8 @@ def clear(store: StoreOption = None) -> None:
 
     Example: lsnet-pipe quarantine clear
     """
-    from inspect_pipeline.quarantine import Quarantine
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.batch.quarantine import Quarantine
+    from inspect_pipeline.store.store import Store, store_path
 
     for note in Quarantine(Store(store_path(store))).remove_stale():
         typer.echo(printable(note.path))

@@ -58,8 +58,8 @@ def query(
         sql = _find_named(named or "", param or [], show_sql)
         if sql is None:
             return
-    from inspect_pipeline.query import QueryLimits, run_query
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index.query import QueryLimits, run_query
+    from inspect_pipeline.store.store import Store, store_path
 
     run_query(
         Store(store_path(store)).index_path,
@@ -73,7 +73,7 @@ def query(
 
 def _find_named(name: str, values: list[str], is_shown: bool) -> str | None:
     """The SQL of a named query; None when names or SQL were asked for, and printed."""
-    from inspect_pipeline.named_queries import find_query, named_queries
+    from inspect_pipeline.index.named_queries import find_query, named_queries
 
     if name == "list":
         for query in named_queries().values():

@@ -23,8 +23,8 @@ def runs(store: StoreOption = None, as_json: JsonOption = False) -> None:
 
     Example: lsnet-pipe runs --json
     """
-    from inspect_pipeline.runs import load_runs
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.store.runs import load_runs
+    from inspect_pipeline.store.store import Store, store_path
 
     summaries = load_runs(Store(store_path(store)))
     if summaries and not as_json:

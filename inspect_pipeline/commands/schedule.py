@@ -45,9 +45,9 @@ def schedule(
     if scheduler is Scheduler.cron and (user or output):
         raise typer.BadParameter("--user and -o go with --print systemd")
 
+    from inspect_pipeline.batch.schedule import cron_line, systemd_units
     from inspect_pipeline.errors import OutputError
-    from inspect_pipeline.schedule import cron_line, systemd_units
-    from inspect_pipeline.store import store_path
+    from inspect_pipeline.store.store import store_path
 
     folder = store_path(store).absolute()
     program = str(Path(sys.executable).with_name("lsnet-pipe"))

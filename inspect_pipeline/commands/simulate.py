@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from inspect_pipeline.commands.options import finite
-from inspect_pipeline.simulate_options import FaultKind, FlightKind, RenderKind, SchemaKind
+from inspect_pipeline.simulation.options import FaultKind, FlightKind, RenderKind, SchemaKind
 
 _LEAST_PX, _MOST_PX = 64, 8192
 
@@ -50,7 +50,7 @@ def simulate(
 
     Example: lsnet-pipe simulate demo.mcap --seconds 10 --fault missing_conductor
     """
-    from inspect_pipeline.simulate import SimulationOptions, simulate_flight
+    from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
     options = SimulationOptions(
         seconds=seconds,

@@ -32,9 +32,9 @@ def import_file(
 
     Example: lsnet-pipe spans import towers.csv --conductors 4
     """
-    from inspect_pipeline import index
-    from inspect_pipeline.spans import import_spans, read_spans
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.inspection.spans import import_spans, read_spans
+    from inspect_pipeline.store.store import Store, store_path
 
     target = Store(store_path(store))
     spans = read_spans(file, conductors)
@@ -49,8 +49,8 @@ def list_spans(store: StoreOption = None, as_json: JsonOption = False) -> None:
 
     Example: lsnet-pipe spans list --json
     """
-    from inspect_pipeline.spans import load_spans
-    from inspect_pipeline.store import Store, store_path
+    from inspect_pipeline.inspection.spans import load_spans
+    from inspect_pipeline.store.store import Store, store_path
 
     for span in load_spans(Store(store_path(store))):
         if as_json:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import cv2
 import numpy as np
 
-from lsnet.synth.clutter import add_clutter
+from lsnet.synth.clutter.clutter import add_clutter
 from lsnet.synth.conditions import augment_further
 from lsnet.synth.scene import add_cables
 

@@ -15,18 +15,18 @@ from fakes import FakeDetector
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from mcap.reader import make_reader
 
-from inspect_pipeline import index
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError, StoreError
+from inspect_pipeline.images.quality import measure_quality
+from inspect_pipeline.index import publish as index
 from inspect_pipeline.pipeline import Progress, process
-from inspect_pipeline.quality import measure_quality
-from inspect_pipeline.store import Store
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from inspect_pipeline.types import ProcessResult
+    from inspect_pipeline.recording.types import ProcessResult
 
 
 @pytest.fixture

@@ -28,14 +28,16 @@ from stubs import InlineExecutor, MakeStub
 
 import cli
 import lsnet
-from inspect_pipeline import batch, executor_local, worker
-from inspect_pipeline.executor_local import LocalExecutor
-from inspect_pipeline.store import Store
+from inspect_pipeline.batch import local as executor_local
+from inspect_pipeline.batch import run as batch
+from inspect_pipeline.batch import worker
+from inspect_pipeline.batch.local import LocalExecutor
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from inspect_pipeline.worker import Job
+    from inspect_pipeline.batch.worker import Job
 
 HOW = {"good": 0, "full": 1, "broken": 2, "short": 3}  # as in faults.c
 TIMEOUT_S = 120

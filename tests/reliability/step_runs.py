@@ -20,7 +20,7 @@ from factories import make_recording, shots
 from fault_runs import prepare, run, warm_up
 from stores import check_visible, contents, disk_state, file_names, where_states_change
 
-from inspect_pipeline.store import Store
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable

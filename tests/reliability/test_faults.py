@@ -17,6 +17,7 @@ import pytest
 
 pytestmark = [pytest.mark.reliability, pytest.mark.timeout(7200)]
 HERE = Path(__file__).parent
+HELPERS = HERE.with_name("helpers")
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,7 @@ def test_killed_at_every_named_step(tmp_path: Path, command: str, step: int) -> 
 
 def _run(script: str, *arguments: object, **environment: object) -> dict[str, Any]:
     """What a script tells."""
-    folders = os.pathsep.join(map(str, (HERE.parent / "light", HERE.parents[1], HERE.parent)))
+    folders = os.pathsep.join(map(str, (HELPERS / "light", HERE.parents[1], HELPERS)))
     done = subprocess.run(
         [sys.executable, HERE / script, *map(str, arguments)],
         env={

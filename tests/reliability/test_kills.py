@@ -19,7 +19,7 @@ from flights import versions, versions_in_index
 from stores import check_visible, contents, file_names
 from stubs import LIGHT
 
-from inspect_pipeline.store import Store
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,7 +49,7 @@ def undisturbed(inbox: Path, tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 def start(inbox: Path, store: Store, weights: str, delay_s: float = 0.0) -> subprocess.Popen[bytes]:
     """A batch; the notes of its stub lie beside the store."""
-    folders = [LIGHT, *LIGHT.parents[:2]]
+    folders = [LIGHT, LIGHT.parent, LIGHT.parents[2]]
     return subprocess.Popen(
         [sys.executable, driver.__file__, *_arguments(inbox, store, weights, delay_s)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))},

@@ -15,18 +15,18 @@ import pytest
 from factories import Shot, make_recording
 from stubs import MakeStub
 
-from inspect_pipeline.batch import BatchOptions, run_batch
+from inspect_pipeline.batch.inbox import Candidate
+from inspect_pipeline.batch.processed_files import StatCache
+from inspect_pipeline.batch.run import BatchOptions, run_batch
+from inspect_pipeline.batch.worker import Job
 from inspect_pipeline.config import ProcessOptions
-from inspect_pipeline.inbox import Candidate
-from inspect_pipeline.stat_cache import StatCache
-from inspect_pipeline.store import Store
-from inspect_pipeline.worker import Job
+from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from inspect_pipeline.flight import FlightRecord
-    from inspect_pipeline.runs import RunSummary
+    from inspect_pipeline.store.records import FlightRecord
+    from inspect_pipeline.store.runs import RunSummary
 
 pytestmark = [pytest.mark.reliability, pytest.mark.timeout(7200)]
 

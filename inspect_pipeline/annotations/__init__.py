@@ -1,0 +1,1 @@
+"""Detections as messages that viewers draw and programs read."""

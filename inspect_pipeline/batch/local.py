@@ -1,0 +1,100 @@
+"""Workers that are processes of this machine.
+
+A pool of concurrent.futures loses every waiting recording with the first killed worker; these stand alone.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING, Any
+
+from inspect_pipeline.batch.executor import POLL_S, START_S, Executor, Worker, signals_blocked
+from inspect_pipeline.batch.worker import Failure
+from inspect_pipeline.errors import DetectorError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from inspect_pipeline.batch.worker import Job
+    from inspect_pipeline.store.records import RunRecord
+
+_STDERR = 2  # what native libraries print in a worker is no result
+
+
+class _Process(Worker):
+    """A child process at the other end of a pipe."""
+
+    def __init__(self, job: Job) -> None:
+        super().__init__()
+        self.connection, theirs = multiprocessing.Pipe()
+        arguments = [str(theirs.fileno()), str(os.getpid())]
+        with theirs, signals_blocked():  # our copy of their end is closed: when they end, the pipe does
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",
+                    "-c",
+                    "from inspect_pipeline.batch.worker import main; main()",
+                    *arguments,
+                ],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=_STDERR,
+            )
+        with suppress(OSError):  # it has died, which its first message says
+            self.connection.send(sys.path)
+            self.connection.send(job)
+        self.deadline = time.monotonic() + START_S
+
+    def _send(self, path: Path, run: RunRecord) -> bool:
+        try:
+            self.connection.send((path, run))
+        except OSError:
+            return False
+        return True
+
+    def receive(self) -> Any:
+        """The message that waits in the pipe, or a Failure when the pipe has ended."""
+        try:
+            return self.connection.recv()
+        except (EOFError, OSError):
+            return Failure("killed", _explain_exit(self._process.wait()))
+
+    def kill(self) -> None:
+        """End the process; it is gone afterwards."""
+        self._process.kill()
+        self._process.wait()
+        self.connection.close()
+
+
+class LocalExecutor(Executor[_Process]):
+    """Up to `n_workers` processes."""
+
+    def _start_worker(self) -> _Process:
+        try:
+            return _Process(self._job)
+        except OSError as error:
+            why = error.strerror or error
+            raise DetectorError(f"no worker can start ({why}); run lsnet-pipe doctor") from error
+
+    def _with_message(self) -> list[_Process]:
+        ready = wait([worker.connection for worker in self._workers], timeout=POLL_S)
+        return [worker for worker in self._workers if worker.connection in ready]
+
+
+def _explain_exit(exit_code: int) -> str:
+    if exit_code >= 0:
+        return f"the worker ended with exit code {exit_code}"
+    try:
+        name = signal.Signals(-exit_code).name
+    except ValueError:  # a real-time signal
+        name = str(-exit_code)
+    hint = "; is there enough memory?" if exit_code == -signal.SIGKILL else ""
+    return f"the worker was ended by {name}{hint}"

@@ -1,0 +1,51 @@
+"""The figures of the latest batch in the text format of Prometheus, for its node exporter."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from prometheus_client import CollectorRegistry, Gauge, write_to_textfile
+
+from inspect_pipeline.errors import OutputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from inspect_pipeline.store.runs import RunSummary
+
+_SUCCESSES = (0, 3)
+_STATUSES = ("processed", "recovered", "skipped", "quarantined", "in_quarantine", "waiting", "left")
+
+
+def write_metrics(path: Path, runs: list[RunSummary], n_quarantined: int) -> None:
+    """Replace the file with the figures of the last of `runs`; raises OutputError.
+
+    The time of the last success is that of the last run that ended with 0 or 3, so a failing job shows by
+    its age.
+    """
+    registry = CollectorRegistry()
+
+    def gauge(name: str, meaning: str, value: float) -> None:
+        Gauge(f"lsnet_pipe_{name}", meaning, registry=registry).set(value)
+
+    latest, counts = runs[-1], asdict(runs[-1].counts)
+    successes = [run.finished_at.timestamp() for run in runs if run.exit_code in _SUCCESSES]
+    gauge("last_success_timestamp_seconds", "End of the last batch that succeeded", max(successes, default=0))
+    gauge("last_run_timestamp_seconds", "End of the last batch", latest.finished_at.timestamp())
+    gauge("last_run_exit_code", "Exit code of the last batch", latest.exit_code)
+    gauge("run_duration_seconds", "Duration of the last batch", latest.duration_s)
+    gauge("frames", "Frames of the recordings processed in the last batch", counts["n_frames"])
+    gauge("bad_frames", "Frames among them that could not be decoded", counts["n_bad_frames"])
+    gauge("segments", "Line segments found in them", counts["n_segments"])
+    gauge("quarantine_size", "Recordings in quarantine", n_quarantined)
+    recordings = Gauge(
+        "lsnet_pipe_recordings", "Recordings of the last batch by status", ["status"], registry=registry
+    )
+    for status in _STATUSES:
+        recordings.labels(status).set(counts[f"n_{status}"])
+    try:
+        write_to_textfile(str(path), registry)
+    except OSError as error:
+        problem = f"the metrics cannot be written ({error.strerror})"
+        raise OutputError(path, problem, "give another file with --metrics") from error

@@ -1,0 +1,286 @@
+"""The nightly job: every recording of the inbox fully indexed, or in quarantine with a reason, or untouched.
+
+inbox ─ discover ─ what is not done ─ workers ─┬─ flights ─ publish, at the end and every ten minutes
+                                               └─ quarantine notes
+
+It holds no state but the store's: killed at any point, it goes on when it is run again.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Any, Protocol
+
+from inspect_pipeline.batch.inbox import Candidate, discover
+from inspect_pipeline.batch.local import LocalExecutor
+from inspect_pipeline.batch.processed_files import ANNOTATED_COPY, StatCache
+from inspect_pipeline.batch.quarantine import Quarantine, QuarantineNote
+from inspect_pipeline.batch.ray import RayExecutor
+from inspect_pipeline.batch.stop_request import StopRequest
+from inspect_pipeline.batch.worker import Failure
+from inspect_pipeline.config import start_described_run
+from inspect_pipeline.errors import InspectError, StoreError
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.store.records import ANNOTATED
+from inspect_pipeline.store.runs import Counts, RunSummary, save_run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from inspect_pipeline.batch.executor import Executor, Outcome
+    from inspect_pipeline.batch.worker import Job
+    from inspect_pipeline.recording.types import ExecutorName, ProcessResult
+    from inspect_pipeline.store.store import Store
+
+_PUBLISH_EVERY_S = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class BatchOptions:
+    """What to go through, and how carefully.
+
+    inboxes: folders, files and glob patterns; since_ns: only files changed since, ns since 1970; limit:
+    recordings to process at most; executor: where the workers are; timeout_s: of one attempt; max_attempts:
+    before a recording that kills or outstays its worker goes to quarantine; settle_s: how long a file must be
+    unchanged to count as written; keep_annotated_days: annotated copies of flights made longer ago are
+    removed, None for never.
+    """
+
+    inboxes: tuple[str, ...]
+    since_ns: int = 0
+    limit: int | None = None
+    executor: ExecutorName = "local"
+    n_workers: int = 1
+    timeout_s: float = 3600.0
+    max_attempts: int = 3
+    settle_s: float = 10.0
+    tags: Mapping[str, str] = field(default_factory=dict)
+    keep_annotated_days: float | None = None
+
+
+class Report(Protocol):
+    """Is told what happens, as it happens."""
+
+    def __call__(self, event: str, **fields: object) -> None: ...
+
+
+def run_batch(
+    store: Store, job: Job, options: BatchOptions, report: Report, stop: StopRequest | None = None
+) -> RunSummary:
+    """Process what is new in the inboxes, one batch per store at a time; errors of a run are in its summary.
+
+    Raises StoreBusyError while another batch holds the store, StoreError when it cannot be locked.
+    """
+    stop = stop or StopRequest()
+    with store.batch_lock():
+        with _executor(job, options, stop) as executor:
+            summary = _Batch(store, job, options, executor=executor, report=report, stop=stop).run()
+        with suppress(StoreError):  # its workers are dead only now
+            store.remove_leftovers()
+    return summary
+
+
+def plan_batch(store: Store, job: Job, options: BatchOptions, report: Report) -> list[Candidate]:
+    """The recordings that a batch would process now; nothing is written.
+
+    Raises InboxError, DetectorError, StoreError.
+    """
+    stop = StopRequest()
+    with _executor(job, options, stop) as executor:
+        return _Batch(store, job, options, executor=executor, report=report, stop=stop).plan()
+
+
+def _executor(job: Job, options: BatchOptions, stop: StopRequest) -> Executor[Any]:
+    kind = RayExecutor if options.executor == "ray" else LocalExecutor
+    return kind(
+        job,
+        n_workers=options.n_workers,
+        timeout_s=options.timeout_s,
+        max_attempts=options.max_attempts,
+        should_stop=stop.is_made,
+    )
+
+
+class _Batch:
+    """One run, from the inbox to its summary."""
+
+    def __init__(
+        self,
+        store: Store,
+        job: Job,
+        options: BatchOptions,
+        *,
+        executor: Executor[Any],
+        report: Report,
+        stop: StopRequest,
+    ) -> None:
+        self._store, self._job, self._options = store, job, options
+        self._executor, self._report, self._stop = executor, report, stop
+        # Until a worker tells what its detector is.
+        self._run = start_described_run({}, job.options, "batch", options.tags)
+        self._quarantine, self._cache = Quarantine(store), StatCache(store)
+        self._counts = Counts()
+        self._last_publish = time.monotonic()
+
+    def run(self) -> RunSummary:
+        """Do everything, and keep a summary of it."""
+        error: InspectError | None = None
+        try:
+            self._work()
+        except InspectError as failure:
+            error = failure
+        summary = self._summary(error)
+        try:
+            save_run(self._store, summary)
+            self._publish()
+        except InspectError as failure:
+            summary = self._summary(error or failure)
+            with suppress(StoreError):
+                save_run(self._store, summary)
+        self._report("batch finished", exit_code=summary.exit_code, error=summary.error)
+        return summary
+
+    def plan(self) -> list[Candidate]:
+        """The recordings that are neither done nor in quarantine, oldest first, at most `limit`."""
+        found = discover(self._options.inboxes, since_ns=self._options.since_ns, without=self._store.root)
+        self._counts = Counts(n_found=len(found.candidates))
+        for link in found.links_out:
+            self._report("link out of the inbox left alone", path=str(link))
+        for folder in found.unreadable:
+            self._report("folder of the inbox cannot be read", path=str(folder))
+        description = self._executor.describe()
+        self._run = start_described_run(description, self._job.options, "batch", self._options.tags)
+        due = [candidate for candidate in found.candidates if self._is_due(candidate)]
+        return due[: self._options.limit]
+
+    def _work(self) -> None:
+        self._cache.compact()
+        due = self.plan()
+        self._report("batch started", run_id=self._run.run_id, n_found=self._counts.n_found, n_due=len(due))
+        written, young = self._part(due)
+        self._process(written)
+        if young:
+            self._process(self._wait_for(young))
+        if self._options.keep_annotated_days is not None:
+            self._remove_annotated_copies(timedelta(days=self._options.keep_annotated_days))
+
+    def _is_due(self, candidate: Candidate) -> bool:
+        """Whether a recording is to be processed; counted if not."""
+        if self._quarantine.holds(candidate, self._run.config_sha256):
+            self._counts = self._counts.plus(n_in_quarantine=1)
+            return False
+        flight_id = self._cache.flight_id(candidate)
+        if flight_id is None or not (flight_id == ANNOTATED_COPY or self._has(flight_id)):
+            return True
+        self._counts = self._counts.plus(n_skipped=1)
+        return False
+
+    def _has(self, flight_id: str) -> bool:
+        known = self._store.load_flight(flight_id)
+        return known is not None and known.run.config_sha256 == self._run.config_sha256
+
+    def _part(self, candidates: list[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
+        """Those that are written to the end, and those that may still be written."""
+        parts: tuple[list[Candidate], list[Candidate]] = ([], [])
+        for candidate in candidates:
+            parts[not candidate.is_written(self._options.settle_s)].append(candidate)
+        return parts
+
+    def _wait_for(self, young: list[Candidate]) -> list[Candidate]:
+        """Those that turn out to be written to the end, when there was time to see."""
+        last_seen = max(candidate.seen_at for candidate in young)
+        self._stop.wait(last_seen + self._options.settle_s - time.monotonic())
+        written, unfinished = self._part(young)
+        self._counts = self._counts.plus(n_waiting=len(unfinished))
+        for candidate in unfinished:
+            self._report("recording still being written", path=str(candidate.path))
+        return written
+
+    def _process(self, candidates: Iterable[Candidate]) -> None:
+        for outcome in self._executor.run(candidates, self._run):
+            if isinstance(outcome.result, Failure):
+                self._give_up(outcome, outcome.result)
+            else:
+                self._count(outcome.candidate, outcome.result)
+            if time.monotonic() - self._last_publish >= _PUBLISH_EVERY_S:
+                self._publish()
+
+    def _count(self, candidate: Candidate, result: ProcessResult) -> None:
+        is_copy = result.annotated == candidate.path
+        self._cache.add(candidate, ANNOTATED_COPY if is_copy else result.flight_id)
+        self._quarantine.remove(str(candidate.path))
+        if result.status == "skipped":
+            self._counts = self._counts.plus(n_skipped=1)
+        else:
+            self._counts = self._counts.plus(
+                n_processed=1,
+                n_recovered=int(result.status == "recovered"),
+                n_frames=result.n_frames,
+                n_bad_frames=result.n_bad_frames,
+                n_segments=result.n_segments,
+            )
+        self._report(
+            "recording done",
+            path=str(candidate.path),
+            status=result.status,
+            flight_id=result.flight_id,
+            n_frames=result.n_frames,
+            n_segments=result.n_segments,
+            duration_s=result.seconds,
+        )
+        if result.reason and result.status == "recovered":
+            self._report("recording damaged", path=str(candidate.path), reason=result.reason)
+        for warning in result.warnings:
+            self._report("recording odd", path=str(candidate.path), warning=warning)
+
+    def _give_up(self, outcome: Outcome, failure: Failure) -> None:
+        """Put a recording into quarantine, unless it is no longer the one that was tried."""
+        candidate = outcome.candidate
+        if Candidate.at(candidate.path) != candidate:
+            self._report("recording changed while it was read", path=str(candidate.path))
+            return
+        note = QuarantineNote(
+            path=str(candidate.path),
+            size_bytes=candidate.size_bytes,
+            mtime_ns=candidate.mtime_ns,
+            reason=failure.reason,
+            detail=failure.detail,
+            attempts=outcome.attempts,
+            app_version=self._run.app_version,
+            config_sha256=self._run.config_sha256,
+            at=datetime.now(UTC).isoformat(),
+        )
+        self._quarantine.add(note)
+        self._store.append_manifest("quarantine", path=note.path, reason=note.reason, run_id=self._run.run_id)
+        self._counts = self._counts.plus(n_quarantined=1)
+        self._report("recording quarantined", **note.to_json(), duration_s=round(outcome.seconds, 3))
+
+    def _remove_annotated_copies(self, age: timedelta) -> None:
+        """Remove those of flights that are older; what was found in them stays."""
+        flights, _ = self._store.scan()
+        oldest = datetime.now(UTC) - age
+        for flight in flights:
+            if flight.record.ingested_at < oldest and (flight.folder / ANNOTATED).exists():
+                self._store.remove_annotated_copy(flight)
+                self._report("annotated copy removed", flight_id=flight.record.flight_id)
+
+    def _publish(self) -> None:
+        change = index.publish(self._store)
+        self._last_publish = time.monotonic()
+        self._report("index published", n_flights=change.n_flights, n_written=change.n_written)
+
+    def _summary(self, error: InspectError | None) -> RunSummary:
+        counts = self._counts
+        n_settled = counts.n_processed + counts.n_skipped + counts.n_waiting
+        n_refused = counts.n_quarantined + counts.n_in_quarantine
+        exit_code = self._stop.exit_code or (3 if n_refused else 0)
+        return RunSummary(
+            run=self._run,
+            finished_at=datetime.now(UTC),
+            exit_code=error.exit_code if error else exit_code,
+            error=str(error) if error else None,
+            counts=counts.plus(n_left=counts.n_found - n_settled - n_refused),
+        )

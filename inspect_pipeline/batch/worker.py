@@ -1,0 +1,137 @@
+"""What a batch gives recordings to, one at a time: a service, and the child process that offers it.
+
+It loads the detector once, writes flights into the store, and never opens the index.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import traceback
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from inspect_pipeline.errors import DetectorError, RecordingError, StoreError, TerrainError
+from inspect_pipeline.store.store import Store
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from inspect_pipeline.config import ProcessOptions
+    from inspect_pipeline.recording.types import ProcessResult
+    from inspect_pipeline.store.records import RunRecord
+    from lsnet import Detector
+
+_PR_SET_PDEATHSIG = 1
+_TRACEBACK_FRAMES = 12
+
+
+class DetectorFactory(Protocol):
+    """Makes the detector, in the worker; can be pickled."""
+
+    def __call__(self) -> Detector: ...
+
+
+@dataclass(frozen=True, slots=True)
+class LoadDetector:
+    """Loads the detector that the options of the command line ask for."""
+
+    weights: str
+    scale: float | None = None
+    min_score: float | None = None
+
+    def __call__(self) -> Detector:
+        from lsnet import Detector, LSNetError  # noqa: PLC0415 - the parent does without torch
+
+        try:
+            return Detector.load(self.weights, scale=self.scale, min_score=self.min_score)
+        except LSNetError as error:
+            raise DetectorError(str(error)) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is the same for all recordings of a batch."""
+
+    store_root: Path
+    options: ProcessOptions
+    make_detector: DetectorFactory
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The first message of a worker: what its detector says about itself."""
+
+    description: Mapping[str, str | int | float]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why there is no result of a recording.
+
+    unreadable: refused, as it would be again; error: a fault of the program; killed: the worker died;
+    timeout: it took too long.
+    """
+
+    reason: Literal["unreadable", "error", "killed", "timeout"]
+    detail: str
+
+
+class Service:
+    """A detector, and the store its flights go to; raises DetectorError when it cannot be loaded."""
+
+    def __init__(self, job: Job) -> None:
+        from inspect_pipeline.pipeline import process  # noqa: PLC0415 - the parent does without OpenCV
+
+        self._detector = job.make_detector()
+        self._store, self._options, self._process = Store(job.store_root), job.options, process
+
+    def ready(self) -> Ready:
+        """The first message."""
+        return Ready(self._detector.describe())
+
+    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError | TerrainError:
+        """What became of a recording; a store or a terrain model that cannot be used is not its fault."""
+        try:
+            return self._process(path, self._store, self._detector, self._options, run)
+        except (StoreError, TerrainError) as error:
+            return error
+        except RecordingError as error:
+            return Failure("unreadable", str(error))
+        except Exception:  # whatever it is, it must not take the other recordings along
+            return Failure("error", traceback.format_exc(limit=-_TRACEBACK_FRAMES))
+
+
+def main() -> None:
+    """Serve the parent, and die with it: the arguments are the number of the pipe's descriptor and its pid.
+
+    Its sys.path and a Job arrive first; a Ready is the answer, or the DetectorError that prevents it.
+    Then each (path, run) is answered.
+    """
+    descriptor, parent_pid = map(int, sys.argv[1:])
+    _die_with(parent_pid)
+    connection: Connection[Any, Any] = Connection(descriptor)
+    sys.path[:] = connection.recv()
+    job = connection.recv()
+    try:
+        service = Service(job)
+    except DetectorError as error:
+        connection.send(error)
+        return
+    connection.send(service.ready())
+    while True:
+        try:
+            path, run = connection.recv()
+        except (EOFError, OSError):  # the parent has died
+            return
+        connection.send(service.process(path, run))
+
+
+def _die_with(parent_pid: int) -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent_pid:  # it died before it could be told
+        os._exit(1)

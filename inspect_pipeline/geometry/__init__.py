@@ -1,0 +1,1 @@
+"""Geometry of cameras and the ground: attitudes, rays, local frames, terrain."""

@@ -1,0 +1,1 @@
+"""Where each frame was taken and where the camera looked."""

@@ -1,0 +1,196 @@
+"""Where each frame of a recording was taken, where it looks, and how finely it shows the ground.
+
+placer = FramePlacer.of(recording, cameras, options)
+place = placer.place(frame)     # the columns of a row of `frames`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from inspect_pipeline.geometry.attitude import YawPitchRoll
+from inspect_pipeline.geometry.camera import (
+    lens_of_view,
+    meet_ground,
+    meet_terrain,
+    moved,
+    moved_all,
+    pixel_rays,
+    resized,
+    turned_down,
+)
+from inspect_pipeline.geometry.terrain import load_elevation
+from inspect_pipeline.georeference.poses import read_poses
+from inspect_pipeline.messages.calibration import read_intrinsics
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from inspect_pipeline.config import PlacingOptions
+    from inspect_pipeline.geometry.terrain import Elevation
+    from inspect_pipeline.georeference.poses import Pose, PoseTrack
+    from inspect_pipeline.messages.calibration import Intrinsics
+    from inspect_pipeline.recording.reader import Recording
+    from inspect_pipeline.recording.types import CameraChannel, Frame
+
+    Floats = NDArray[np.float64]
+
+_STRAIGHT_DOWN_DEG = -90.0
+
+
+@dataclass(frozen=True, slots=True)
+class FramePlace:
+    """The columns of `frames` that say where and how it was taken; None where it is not known.
+
+    attitude_source: "camera", "vehicle" for a camera taken to look straight down out of the vehicle, "nadir"
+    for one taken to look straight down, None without a position. focal_px is in pixels of this frame.
+    gsd_m and wire_px are those at the middle of the image, on the ground.
+    """
+
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    alt_m: float | None = None
+    height_m: float | None = None
+    heading_deg: float | None = None
+    cam_roll_deg: float | None = None
+    cam_pitch_deg: float | None = None
+    cam_yaw_deg: float | None = None
+    pose_age_ms: float | None = None
+    attitude_source: str | None = None
+    focal_px: float | None = None
+    gsd_m: float | None = None
+    ground_lat_deg: float | None = None
+    ground_lon_deg: float | None = None
+    wire_px: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FramePlacer:
+    """Places the frames of a recording by its poses and its cameras' lenses, by channel id.
+
+    The ground is flat, or rises and falls with the terrain from where the recording begins.
+    """
+
+    poses: PoseTrack
+    lenses: Mapping[int, Intrinsics]
+    options: PlacingOptions
+    terrain: Elevation | None = None
+
+    @classmethod
+    def of(
+        cls, recording: Recording, cameras: Iterable[CameraChannel], options: PlacingOptions
+    ) -> FramePlacer:
+        """Read poses, lenses and terrain.
+
+        Raises RecordingError when chunks cannot be read of a `strict` recording, TerrainError.
+        """
+        lenses = {camera.channel_id: read_intrinsics(recording, camera) for camera in cameras}
+        known = {channel_id: lens for channel_id, lens in lenses.items() if lens}
+        terrain = load_elevation(options.terrain) if options.terrain else None
+        return cls(read_poses(recording), known, options, terrain)
+
+    def place(self, frame: Frame) -> FramePlace:
+        """The place of a frame by the last pose known at its log time."""
+        pose, lens = self.poses.at(frame.log_time_ns), self._lens(frame)
+        focal_px = lens.focal_px[0] if lens else None
+        if pose is None:
+            return FramePlace(focal_px=focal_px)
+        turns, source = _camera_turns(pose)
+        height_m = self._height_m(pose)
+        sight = self._sight(pose, turns, height_m, lens)
+        gsd_m = sight.distance_m / focal_px if sight and focal_px else None
+        return FramePlace(
+            lat_deg=pose.latitude_deg,
+            lon_deg=pose.longitude_deg,
+            alt_m=pose.altitude_m,
+            height_m=height_m,
+            heading_deg=pose.heading_deg,
+            cam_roll_deg=turns.roll_deg,
+            cam_pitch_deg=turns.pitch_deg,
+            cam_yaw_deg=turns.yaw_deg if source != "nadir" else None,
+            pose_age_ms=pose.age_ms,
+            attitude_source=source if pose.latitude_deg is not None else None,
+            focal_px=focal_px,
+            gsd_m=gsd_m,
+            ground_lat_deg=sight.lat_deg if sight else None,
+            ground_lon_deg=sight.lon_deg if sight else None,
+            wire_px=self.options.wire_m / gsd_m if gsd_m else None,
+        )
+
+    def _lens(self, frame: Frame) -> Intrinsics | None:
+        """The lens in pixels of the frame, which may be smaller than what was calibrated."""
+        if frame.image is None:
+            return None
+        height, width = frame.image.shape[:2]
+        lens = self.lenses.get(frame.channel_id)
+        if lens:
+            return lens if lens.image_size == (height, width) else resized(lens, (height, width))
+        view_deg = self.options.view_deg
+        return lens_of_view((height, width), view_deg) if view_deg is not None else None
+
+    def _height_m(self, pose: Pose) -> float | None:
+        """Above the ground: by its altitude where that was given, else as the recording says."""
+        height_m = pose.height_m
+        if self.options.ground_alt_m is not None and pose.altitude_m is not None:
+            height_m = pose.altitude_m - self.options.ground_alt_m
+        if self.terrain is None or height_m is None:
+            return height_m
+        if pose.latitude_deg is None or pose.longitude_deg is None:
+            return None
+        begin = self.poses.positions.values[0]
+        rise_m = _rise_m(self.terrain, (begin[0], begin[1]), [pose.latitude_deg], [pose.longitude_deg])
+        return height_m - float(rise_m[0]) if np.isfinite(rise_m[0]) else None
+
+    def _meet_ground(self, here: tuple[float, float], height_m: float, ray: Floats) -> Floats:
+        """(3,) metres east, north and up from the camera to where a ray (3,) meets the ground; else NaN."""
+        terrain = self.terrain
+        if terrain is None:
+            met: Floats = meet_ground(ray[np.newaxis], height_m)[0]
+            return met
+        return meet_terrain(
+            ray, height_m, lambda east, north: _rise_m(terrain, here, *moved_all(*here, east, north))
+        )
+
+    def _sight(
+        self, pose: Pose, turns: YawPitchRoll, height_m: float | None, lens: Intrinsics | None
+    ) -> _Sight | None:
+        """None where the ground is not known, not below, or not in sight."""
+        if pose.latitude_deg is None or pose.longitude_deg is None or height_m is None or height_m <= 0:
+            return None
+        lens = lens or lens_of_view((2, 2), 90.0)  # any: the middle of the image is the optical axis
+        height, width = lens.image_size
+        here = pose.latitude_deg, pose.longitude_deg
+        met = self._meet_ground(here, height_m, pixel_rays(lens, turns, (width / 2, height / 2))[0])
+        if np.isnan(met).any():
+            return None
+        east_m, north_m, _ = met.tolist()
+        return _Sight(*moved(*here, east_m, north_m), float(np.linalg.norm(met)))
+
+
+def _rise_m(terrain: Elevation, begin: tuple[float, float], lat_deg: ArrayLike, lon_deg: ArrayLike) -> Floats:
+    """(N,) m that the ground at (N,) places lies above that at the first one."""
+    below_m = terrain.at(*(np.array([degrees]) for degrees in begin))
+    rise_m: Floats = terrain.at(np.asarray(lat_deg), np.asarray(lon_deg)) - below_m
+    return rise_m
+
+
+def _camera_turns(pose: Pose) -> tuple[YawPitchRoll, str]:
+    """How the camera is turned, and by what that is known."""
+    if pose.yaw_deg is None or pose.pitch_deg is None or pose.roll_deg is None:
+        return YawPitchRoll(0.0, _STRAIGHT_DOWN_DEG, 0.0), "nadir"
+    turns = YawPitchRoll(pose.yaw_deg, pose.pitch_deg, pose.roll_deg)
+    return (turns, "camera") if pose.attitude_of == "camera" else (turned_down(turns), "vehicle")
+
+
+@dataclass(frozen=True, slots=True)
+class _Sight:
+    """Where the middle of the image meets the ground, and how far away."""
+
+    lat_deg: float
+    lon_deg: float
+    distance_m: float

@@ -1,0 +1,200 @@
+"""Where the camera was and how it was turned, at any time of a recording.
+
+    track = read_poses(recording)
+    pose = track.at(frame.log_time_ns)      # the last known one, and how old it is
+
+Messages are joined to frames by log time, which all channels share.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from inspect_pipeline.geometry.attitude import Attitude, Position, wrapped_deg
+from inspect_pipeline.messages.flatbuffer import MALFORMED
+from inspect_pipeline.messages.pose import parser_for
+from inspect_pipeline.recording.frames import iter_channel_messages
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.messages.pose import Parser
+    from inspect_pipeline.recording.reader import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """The last known position and attitude at a time; what is not known is None.
+
+    Positions are WGS 84; altitude_m counts from what the source counts from, mostly the ellipsoid (GNSS) or
+    the sea (EXIF, PX4). Yaw is clockwise from north, pitch positive upwards, so that a camera that looks
+    straight down has -90; they are those of the `attitude_of`. age_ms is that of its oldest part.
+    heading_deg is the yaw of the vehicle. height_m counts from the origin of the frame the attitude is told
+    in, by convention on the ground.
+    """
+
+    latitude_deg: float | None
+    longitude_deg: float | None
+    altitude_m: float | None
+    yaw_deg: float | None
+    pitch_deg: float | None
+    roll_deg: float | None
+    attitude_of: Literal["camera", "vehicle"] | None
+    age_ms: float
+    heading_deg: float | None = None
+    height_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Values over time: times_ns (N,) uint64 in order, values (N, k) float64."""
+
+    times_ns: NDArray[np.uint64] = field(default_factory=lambda: np.zeros(0, np.uint64))
+    values: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def last_at(self, time_ns: int) -> Sample | None:
+        """The last sample that is not after `time_ns`."""
+        i = int(np.searchsorted(self.times_ns, np.uint64(time_ns), side="right")) - 1
+        if i < 0:
+            return None
+        return Sample(self.values[i].tolist(), (time_ns - int(self.times_ns[i])) / 1e6)
+
+
+class Sample(NamedTuple):
+    """The values of a moment, and how long ago it was."""
+
+    values: list[float]
+    age_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTrack:
+    """What is known of a flight's poses, each from the one channel that has most of it.
+
+    positions: latitude_deg, longitude_deg, altitude_m (NaN where unknown). vehicle: yaw_deg, pitch_deg,
+    roll_deg. camera: the same, and 1 where the yaw counts from that of the vehicle. heights: height_m.
+    """
+
+    positions: Samples
+    vehicle: Samples
+    camera: Samples
+    heights: Samples = field(default_factory=Samples)
+
+    def at(self, time_ns: int) -> Pose | None:
+        """The pose at a log time; None before the first message, and without any."""
+        position = self.positions.last_at(time_ns)
+        attitude, attitude_of = self._attitude_at(time_ns)
+        vehicle, height = self.vehicle.last_at(time_ns), self.heights.last_at(time_ns)
+        ages_ms = [sample.age_ms for sample in (position, attitude) if sample]
+        if not ages_ms:
+            return None
+        latitude_deg, longitude_deg, altitude_m = position.values if position else (None, None, None)
+        yaw_deg, pitch_deg, roll_deg = attitude.values if attitude else (None, None, None)
+        return Pose(
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            altitude_m=None if altitude_m is None or np.isnan(altitude_m) else altitude_m,
+            yaw_deg=yaw_deg,
+            pitch_deg=pitch_deg,
+            roll_deg=roll_deg,
+            attitude_of=attitude_of,
+            age_ms=max(ages_ms),
+            heading_deg=vehicle.values[0] if vehicle else None,
+            height_m=height.values[0] if height else None,
+        )
+
+    def _attitude_at(self, time_ns: int) -> tuple[Sample | None, Literal["camera", "vehicle"] | None]:
+        """The attitude of the camera against north, else that of the vehicle."""
+        vehicle, camera = self.vehicle.last_at(time_ns), self.camera.last_at(time_ns)
+        if camera:
+            yaw_deg, pitch_deg, roll_deg, is_yaw_relative = camera.values
+            if not is_yaw_relative:
+                return Sample([yaw_deg, pitch_deg, roll_deg], camera.age_ms), "camera"
+            if vehicle:
+                yaw_deg = wrapped_deg(vehicle.values[0] + yaw_deg)
+                age_ms = max(camera.age_ms, vehicle.age_ms)
+                return Sample([yaw_deg, pitch_deg, roll_deg], age_ms), "camera"
+        return vehicle, "vehicle" if vehicle else None
+
+
+def read_poses(recording: Recording) -> PoseTrack:
+    """The poses of a recording; an empty track when it has none.
+
+    Messages that cannot be taken apart are passed over. Raises RecordingError when chunks cannot be read
+    of a `strict` recording; else they are noted in its losses.
+    """
+    kinds = _read_kinds(recording, _parsers(recording))
+    return PoseTrack(
+        positions=_longest(kinds["position"]),
+        vehicle=_longest(kinds["vehicle"]),
+        camera=_longest(kinds["camera"]),
+        heights=_longest(kinds["height"]),
+    )
+
+
+class _Rows:
+    """Values over time as they come, a few bytes each: attitudes may come a thousand times a second."""
+
+    def __init__(self) -> None:
+        self._times_ns, self._values = array("Q"), array("d")
+
+    def __len__(self) -> int:
+        return len(self._times_ns)
+
+    def append(self, time_ns: int, *values: float) -> None:
+        self._times_ns.append(time_ns)
+        self._values.extend(values)
+
+    def to_samples(self) -> Samples:
+        if not self._times_ns:
+            return Samples()
+        values = np.frombuffer(self._values, np.float64)
+        return Samples(np.frombuffer(self._times_ns, np.uint64), values.reshape(len(self), -1))
+
+
+_RowsByChannel = dict[int, _Rows]
+
+
+def _parsers(recording: Recording) -> dict[int, Parser]:
+    """What reads each channel of positions or attitudes, by channel id."""
+    found = {}
+    for channel in recording.channels:
+        parser = parser_for(
+            channel.topic,
+            channel.schema_name,
+            recording.schema_data(channel.channel_id),
+            channel.message_encoding,
+        )
+        if parser:
+            found[channel.channel_id] = parser
+    return found
+
+
+def _read_kinds(recording: Recording, parsers: dict[int, Parser]) -> dict[str, _RowsByChannel]:
+    kinds: dict[str, _RowsByChannel] = defaultdict(lambda: defaultdict(_Rows))
+    for message in iter_channel_messages(recording, parsers.keys()):
+        try:
+            found = parsers[message.channel_id](message.data)
+        except MALFORMED:
+            continue
+        channel_id, time_ns = message.channel_id, message.log_time_ns
+        if isinstance(found, Position):
+            kinds["position"][channel_id].append(time_ns, *found)
+        elif isinstance(found, Attitude):
+            if found.is_camera:
+                kinds["camera"][channel_id].append(time_ns, *found.turns, found.is_yaw_relative)
+            else:
+                kinds["vehicle"][channel_id].append(time_ns, *found.turns)
+            if found.height_m is not None:
+                kinds["height"][channel_id].append(time_ns, found.height_m)
+    return kinds
+
+
+def _longest(rows_by_channel: _RowsByChannel) -> Samples:
+    """The samples of the channel with most of them: two receivers in turn would jump to and fro."""
+    return max(rows_by_channel.values(), key=len, default=_Rows()).to_samples()

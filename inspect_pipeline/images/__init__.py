@@ -1,0 +1,1 @@
+"""Pixels: decoding of images and video, and how usable a picture is."""

@@ -1,0 +1,1 @@
+"""The DuckDB index, made from the flights of a store."""

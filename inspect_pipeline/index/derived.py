@@ -1,0 +1,270 @@
+"""The part of the index that follows from the flights' rows and from what people told: coverage, anomalies.
+
+Computed flight by flight when the index is published, for flights that changed; for all of them when the
+spans, the rules or the program did.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from inspect_pipeline.inspection.anomalies.find import Reviewed, find_anomalies, with_ids
+from inspect_pipeline.inspection.anomalies.spans import count_conductors
+from inspect_pipeline.inspection.coverage.measure import measure_coverage
+from inspect_pipeline.inspection.rows import CameraRows, FrameRows, LineRows
+from inspect_pipeline.inspection.rules import load_rules
+from inspect_pipeline.inspection.spans import load_spans
+from inspect_pipeline.resources import MIGRATIONS, app_version
+from inspect_pipeline.store.feedback import load_reviews, load_tags
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import duckdb
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.inspection.anomalies.find import Anomaly
+    from inspect_pipeline.inspection.coverage.measure import FlightCoverage
+    from inspect_pipeline.inspection.rules import Rules
+    from inspect_pipeline.inspection.spans import Span
+    from inspect_pipeline.store.store import Store
+
+
+class Inspected(NamedTuple):
+    """Rows of the tables anomalies and coverage, the latter those over all cameras."""
+
+    anomalies: list[dict[str, Any]]
+    coverage: list[dict[str, Any]]
+
+
+DERIVED_TABLES = ("coverage", "coverage_bins", "coverage_gaps", "conductor_counts", "anomalies")
+
+_FRAMES = """
+SELECT frame_idx, log_time_ns, stamp_ns, coalesce(width, -1) AS width, coalesce(height, -1) AS height,
+       status = 'ok' AS is_ok, sharpness, mean_luma, lat_deg, lon_deg, height_m, cam_yaw_deg, cam_pitch_deg,
+       cam_roll_deg, pose_age_ms, focal_px, coalesce(attitude_source = 'camera', false) AS is_turn_known
+FROM frames
+WHERE flight_id = $flight_id AND channel_id = $channel_id
+ORDER BY frame_idx
+"""
+_LINES = """
+SELECT frame_idx, coalesce(track_id, -1) AS track_id, n_points
+FROM lines
+WHERE flight_id = $flight_id AND channel_id = $channel_id
+ORDER BY frame_idx, line_idx
+"""
+_POINTS = """
+SELECT point.x, point.y
+FROM (
+    SELECT frame_idx, line_idx, unnest(points) AS point, generate_subscripts(points, 1) AS number
+    FROM lines
+    WHERE flight_id = $flight_id AND channel_id = $channel_id
+)
+ORDER BY frame_idx, line_idx, number
+"""
+
+
+def input_digests(store: Store) -> dict[str, str]:
+    """A hash of everything else than flights that the index is made of, by its name.
+
+    Raises RulesError.
+    """
+    program = f"{app_version()} {len(MIGRATIONS)}"
+    digests = {"program": _sha256(program.encode()), "rules": load_store_rules(store).sha256}
+    for name in ("spans.geojson", "reviews.jsonl", "tags.jsonl"):
+        path = store.root / name
+        digests[name] = _sha256(path.read_bytes() if path.exists() else b"")
+    return digests
+
+
+def load_store_rules(store: Store) -> Rules:
+    """The rules of a store: its rules.toml, else the shipped ones; raises RulesError."""
+    path = store.root / "rules.toml"
+    return load_rules(path if path.exists() else None)
+
+
+def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequence[str]) -> None:
+    """Bring spans, reviews, tags, coverage and anomalies up to the flights and files of a store.
+
+    In the transaction of the caller. Raises RulesError, SpansError, StoreError.
+    """
+    digests = input_digests(store)
+    known = dict(connection.execute("SELECT name, sha256 FROM inputs").fetchall())
+    is_other = any(known.get(name) != digests[name] for name in ("program", "rules", "spans.geojson"))
+    spans, rules = load_spans(store), load_store_rules(store)
+    _insert_told(connection, store, spans, digests)
+    stale = _all_flights(connection) if is_other else list(changed)
+    for table in DERIVED_TABLES:
+        connection.execute(f"DELETE FROM {table} WHERE flight_id NOT IN (SELECT flight_id FROM flights)")
+        connection.execute(f"DELETE FROM {table} WHERE flight_id IN (SELECT unnest(?))", [stale])
+    reviews = _reviewed(store)
+    for flight_id in stale:
+        cameras = load_cameras(connection, flight_id)
+        _insert_coverage(connection, flight_id, measure_coverage(cameras, spans, rules))
+        _insert_counts(connection, flight_id, cameras, spans, rules)
+        found = with_ids(flight_id, find_anomalies(cameras, spans, rules), reviews.get(flight_id, []))
+        _insert_anomalies(connection, flight_id, found)
+
+
+def inspect_flights(
+    connection: duckdb.DuckDBPyConnection, store: Store, flight_ids: Sequence[str], rules: Rules
+) -> Inspected:
+    """Anomalies and coverage of flights by other rules than the store's; raises SpansError, StoreError."""
+    spans, reviews = load_spans(store), _reviewed(store)
+    anomalies: list[dict[str, Any]] = []
+    coverage: list[dict[str, Any]] = []
+    for flight_id in flight_ids:
+        cameras, own = load_cameras(connection, flight_id), {"flight_id": flight_id}
+        found = with_ids(flight_id, find_anomalies(cameras, spans, rules), reviews.get(flight_id, []))
+        anomalies += [own | asdict(one) for one in found]
+        numbers = measure_coverage(cameras, spans, rules).numbers
+        coverage += [own | asdict(one) | {"share": one.share} for one in numbers if one.channel_id is None]
+    return Inspected(anomalies, coverage)
+
+
+def load_cameras(connection: duckdb.DuckDBPyConnection, flight_id: str) -> list[CameraRows]:
+    """The rows of a flight, camera by camera."""
+    channels = "SELECT DISTINCT channel_id FROM frames WHERE flight_id = ? ORDER BY 1"
+    ids = [channel_id for (channel_id,) in connection.execute(channels, [flight_id]).fetchall()]
+    return [_load_camera(connection, flight_id, channel_id) for channel_id in ids]
+
+
+def insert_records(
+    connection: duckdb.DuckDBPyConnection, insert: str, table: str, rows: list[dict[str, Any]]
+) -> None:
+    """Insert rows whose keys are columns of `table`, in one statement; their types are the table's."""
+    if not rows:
+        return
+    described = connection.execute(f"DESCRIBE {table}").fetchall()
+    shape = {name: kind for name, kind, *_ in described if name in rows[0]}
+    # Names of files and words from a command line may hold what is no text, and no database takes.
+    text = json.dumps(rows, ensure_ascii=False).encode(errors="replace").decode()
+    connection.execute(
+        f"{insert} BY NAME SELECT unnest(row) FROM (SELECT unnest(from_json(?, ?)) AS row)",
+        [text, json.dumps([shape])],
+    )
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _all_flights(connection: duckdb.DuckDBPyConnection) -> list[str]:
+    return [flight_id for (flight_id,) in connection.execute("SELECT flight_id FROM flights").fetchall()]
+
+
+def _insert_told(
+    connection: duckdb.DuckDBPyConnection, store: Store, spans: list[Span], digests: dict[str, str]
+) -> None:
+    """The tables of what people told, made anew."""
+    own = ("anomaly_id", "verdict", "note", "reviewed_at")
+    reviews = [{name: getattr(one, name) for name in own} for one in load_reviews(store)]
+    tags = [{"flight_id": tag.flight_id, "key": tag.key, "value": tag.value} for tag in load_tags(store)]
+    inputs = [{"name": name, "sha256": digest} for name, digest in digests.items()]
+    tables = {"spans": [asdict(span) for span in spans], "reviews": reviews, "flight_tags": tags}
+    for table, rows in {**tables, "inputs": inputs}.items():
+        connection.execute(f"DELETE FROM {table}")
+        insert_records(connection, f"INSERT INTO {table}", table, rows)
+
+
+def _reviewed(store: Store) -> dict[str, list[Reviewed]]:
+    """The anomalies that were reviewed, by flight."""
+    by_flight: dict[str, list[Reviewed]] = {}
+    for one in load_reviews(store):
+        what = (one.anomaly_id, one.kind, one.channel_id, one.span_id, one.start_ns, one.end_ns)
+        by_flight.setdefault(one.flight_id, []).append(Reviewed(*what))
+    return by_flight
+
+
+def _load_camera(connection: duckdb.DuckDBPyConnection, flight_id: str, channel_id: int) -> CameraRows:
+    key = {"flight_id": flight_id, "channel_id": channel_id}
+    columns = {name: _plain(values) for name, values in connection.execute(_FRAMES, key).fetchnumpy().items()}
+    lines = connection.execute(_LINES, key).fetchnumpy()
+    points = connection.execute(_POINTS, key).fetchnumpy()
+    frames = FrameRows(**columns)
+    return CameraRows(
+        channel_id,
+        frames,
+        LineRows(
+            frame=np.searchsorted(frames.frame_idx, _plain(lines["frame_idx"])).astype(np.int64),
+            track=_plain(lines["track_id"]).astype(np.int64),
+            first=np.concatenate(([0], np.cumsum(_plain(lines["n_points"])))).astype(np.int64),
+            points=np.column_stack((_plain(points["x"]), _plain(points["y"]))).astype(np.float64),
+        ),
+    )
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """A column without its mask: floats with NaN for NULL, integers and booleans as they are."""
+    if values.dtype.kind == "f":
+        filled: NDArray[Any] = np.ma.filled(values.astype(np.float64), np.nan)
+        return filled
+    plain: NDArray[Any] = np.ma.getdata(values)
+    return plain.astype(np.int64) if plain.dtype.kind in "iu" else plain
+
+
+def _insert_coverage(connection: duckdb.DuckDBPyConnection, flight_id: str, found: FlightCoverage) -> None:
+    numbers = [{"flight_id": flight_id, **asdict(one), "share": one.share} for one in found.numbers]
+    gaps = [{"flight_id": flight_id, **asdict(one), "duration_s": one.duration_s} for one in found.gaps]
+    insert_records(connection, "INSERT INTO coverage", "coverage", numbers)
+    insert_records(connection, "INSERT INTO coverage_gaps", "coverage_gaps", gaps)
+    for bins in found.bins:
+        seen = bins.n_detected > 0
+        columns = {
+            "bin_idx": np.arange(len(seen)),
+            "lat_deg": bins.lat_deg,
+            "lon_deg": bins.lon_deg,
+            "n_frames": bins.n_frames,
+            "n_detected": bins.n_detected,
+            "best_gsd_m": bins.best_gsd_m,
+            "first_ns": bins.first_ns,
+            "last_ns": bins.last_ns,
+            "is_seen": seen,
+        }
+        connection.register("bin_rows", columns)
+        connection.execute(
+            """
+            INSERT INTO coverage_bins BY NAME
+            SELECT $flight_id AS flight_id, $kind AS kind, $span_id AS span_id, $bin_m AS length_m,
+                   * EXCLUDE (is_seen)
+                     REPLACE (if(isnan(best_gsd_m), NULL, best_gsd_m) AS best_gsd_m,
+                              if(is_seen, first_ns, NULL) AS first_ns, if(is_seen, last_ns, NULL) AS last_ns)
+            FROM bin_rows
+            """,
+            {"flight_id": flight_id, "kind": bins.kind, "span_id": bins.span_id, "bin_m": bins.bin_m},
+        )
+        connection.unregister("bin_rows")
+
+
+def _insert_counts(
+    connection: duckdb.DuckDBPyConnection,
+    flight_id: str,
+    cameras: Sequence[CameraRows],
+    spans: Sequence[Span],
+    rules: Rules,
+) -> None:
+    for camera in cameras:
+        for count in count_conductors(camera, spans, rules):
+            columns = {"frame_idx": count.frame_idx, "n_conductors": count.n_conductors}
+            connection.register("count_rows", columns)
+            connection.execute(
+                """
+                INSERT INTO conductor_counts BY NAME
+                SELECT $flight_id AS flight_id, $channel_id AS channel_id, $span_id AS span_id, *
+                FROM count_rows
+                """,
+                {"flight_id": flight_id, "channel_id": camera.channel_id, "span_id": count.span_id},
+            )
+            connection.unregister("count_rows")
+
+
+def _insert_anomalies(
+    connection: duckdb.DuckDBPyConnection, flight_id: str, found: Sequence[Anomaly]
+) -> None:
+    rows = [{"flight_id": flight_id, **asdict(one)} for one in found]
+    insert_records(connection, "INSERT INTO anomalies", "anomalies", rows)

@@ -1,0 +1,1 @@
+"""Spans, coverage and anomalies, computed from the rows of a flight."""

@@ -1,0 +1,1 @@
+"""Rules that report what is odd in a flight."""

@@ -1,0 +1,154 @@
+"""What is odd in a flight: candidates with evidence, never verdicts.
+
+    for found in find_anomalies(cameras, spans, load_rules()):
+        print(found.kind, found.reason, found.evidence)
+
+Each kind is found by a small rule: a function of the rows of one camera that yields where and how much. Rules
+about conductors of a span need poses, a focal length and spans; the others need none of these.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from inspect_pipeline.inspection.anomalies.frames import FRAME_RULES
+from inspect_pipeline.inspection.anomalies.lines import LINE_RULES
+from inspect_pipeline.inspection.anomalies.spans import find_on_spans
+from inspect_pipeline.inspection.rows import find_origin, judge_frames
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.inspection.anomalies.frames import Finding
+    from inspect_pipeline.inspection.rows import CameraRows, FrameRows
+    from inspect_pipeline.inspection.rules import Rules
+    from inspect_pipeline.inspection.spans import Span
+
+_MAX_EVIDENCE = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Anomaly:
+    """A row of the table anomalies; anomaly_id is empty until `with_ids`."""
+
+    kind: str
+    channel_id: int
+    reason: str
+    value: float
+    threshold: float
+    unit: str
+    first_frame_idx: int
+    last_frame_idx: int
+    evidence_frames: tuple[int, ...]
+    start_ns: int
+    end_ns: int
+    track_id: int | None
+    span_id: str | None
+    lat_deg: float | None
+    lon_deg: float | None
+    anomaly_id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Reviewed:
+    """What a review says of the anomaly it was made of, by which it is found again."""
+
+    anomaly_id: str
+    kind: str
+    channel_id: int
+    span_id: str | None
+    start_ns: int
+    end_ns: int
+
+
+def find_anomalies(cameras: Sequence[CameraRows], spans: Sequence[Span], rules: Rules) -> list[Anomaly]:
+    """The anomalies of a flight by all enabled rules, in the order of time."""
+    origin = find_origin(cameras)
+    found = []
+    for camera in cameras:
+        findings: list[Finding] = []
+        usable = judge_frames(camera.frames, rules)
+        for rule in (*FRAME_RULES, *LINE_RULES):
+            findings += rule(camera, usable, rules)
+        if origin is not None:
+            placed = usable.usable & _is_before_jumps(camera.frames, findings)
+            findings += find_on_spans(camera, spans, origin, placed, rules)
+        found += [
+            _to_anomaly(camera.channel_id, camera.frames, one)
+            for one in findings
+            if rules.of(one.kind)["enabled"]
+        ]
+    return sorted(found, key=lambda one: (one.start_ns, one.kind, one.channel_id, one.span_id or ""))
+
+
+def _is_before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> NDArray[np.bool_]:
+    """After an orientation jump the pose says no more where a line is."""
+    jumps = [int(one.rows[-1]) for one in findings if one.kind == "orientation_jump"]
+    return np.arange(len(frames)) < min(jumps, default=len(frames))
+
+
+def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding) -> Anomaly:
+    rows = np.asarray(found.rows)
+    shown = rows[np.unique(np.linspace(0, len(rows) - 1, _MAX_EVIDENCE).round().astype(int))]
+    first, last = int(rows[0]), int(rows[-1])
+    lat_deg, lon_deg = found.place or (frames.lat_deg[first], frames.lon_deg[first])
+    return Anomaly(
+        kind=found.kind,
+        channel_id=channel_id,
+        reason=found.reason,
+        value=float(found.value),
+        threshold=float(found.threshold),
+        unit=found.unit,
+        first_frame_idx=int(frames.frame_idx[first]),
+        last_frame_idx=int(frames.frame_idx[last]),
+        evidence_frames=tuple(frames.frame_idx[shown].tolist()),
+        start_ns=int(frames.log_time_ns[first]),
+        end_ns=int(frames.log_time_ns[last]),
+        track_id=found.track_id,
+        span_id=found.span_id,
+        lat_deg=float(lat_deg) if np.isfinite(lat_deg) else None,
+        lon_deg=float(lon_deg) if np.isfinite(lon_deg) else None,
+    )
+
+
+def with_ids(flight_id: str, found: Sequence[Anomaly], reviewed: Sequence[Reviewed]) -> list[Anomaly]:
+    """The anomalies of a flight with ids that stay the same when it is processed again.
+
+    One that was reviewed keeps its id as long as an anomaly of its kind is there at its time; another model
+    or other thresholds may move its ends.
+    """
+    taken = _match(found, reviewed)
+    seen: dict[str, int] = {}
+    named = []
+    for i, one in enumerate(found):
+        key = f"{flight_id} {one.channel_id} {one.kind} {one.span_id} {one.first_frame_idx}"
+        seen[key] = seen.get(key, 0) + 1
+        own = hashlib.sha256(f"{key} {seen[key]}".encode()).hexdigest()[:12]
+        named.append(replace(one, anomaly_id=taken.get(i, own)))
+    return named
+
+
+def _match(found: Sequence[Anomaly], reviewed: Sequence[Reviewed]) -> Mapping[int, str]:
+    """The reviewed id of an anomaly by its number: pairs that overlap in time, the best ones first."""
+    pairs = sorted(_overlaps(found, reviewed), reverse=True)
+    by_number: dict[int, str] = {}
+    for _, number, anomaly_id in pairs:
+        if number not in by_number and anomaly_id not in by_number.values():
+            by_number[number] = anomaly_id
+    return by_number
+
+
+def _overlaps(found: Sequence[Anomaly], reviewed: Sequence[Reviewed]) -> Iterator[tuple[float, int, str]]:
+    for number, one in enumerate(found):
+        for old in reviewed:
+            same = (old.kind, old.channel_id, old.span_id) == (one.kind, one.channel_id, one.span_id)
+            common = min(one.end_ns, old.end_ns) - max(one.start_ns, old.start_ns)
+            if same and common >= 0:
+                whole = max(one.end_ns, old.end_ns) - min(one.start_ns, old.start_ns)
+                yield (common / whole if whole else 1.0), number, old.anomaly_id

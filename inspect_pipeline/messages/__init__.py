@@ -1,0 +1,1 @@
+"""Parsers and encoders of single messages: images, poses, calibrations."""

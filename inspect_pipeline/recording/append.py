@@ -1,0 +1,255 @@
+"""Annotations written back: appended to a copy of the recording, or to a file of their own beside it.
+
+    with annotated_copy(recording, target) as out:
+        channel_id = out.add_channel(topic, schema_name=..., message_encoding=..., ...)
+        out.write(channel_id, log_time_ns, publish_time_ns, data)
+
+A copy begins with the bytes of the source up to its Data End record, unchanged, so every offset in its
+indexes stays right; then come chunks of annotations and a new summary of everything.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from threading import Event
+from typing import TYPE_CHECKING
+
+import zstandard
+from mcap.records import Channel, Header, Metadata, MetadataIndex, Schema
+
+from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.recording.append_chunks import ChunkBuilder, encode_message_indexes, message_index
+from inspect_pipeline.recording.append_summary import Contents, encode_end, encode_records
+from inspect_pipeline.recording.file import Damage, RecordingFile, read_extent
+from inspect_pipeline.recording.summary import MAGIC
+from inspect_pipeline.resources import app_version
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Set as AbstractSet
+    from pathlib import Path
+    from typing import BinaryIO
+
+    from inspect_pipeline.recording.reader import Recording
+
+_COPY_BYTES = 256 << 20
+_MAX_ID = 0xFFFF
+_NO_COPY_RANGE = {errno.EXDEV, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM}
+
+
+@contextmanager
+def annotated_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
+    """Write a copy of `source` with annotations to `target`, which must not exist.
+
+    On a clean exit the copy is complete, on an exception it is removed. Raises RecordingError when the source
+    is an annotated copy itself or changes meanwhile, OSError when the target cannot be written.
+    """
+    _refuse_annotated(source)
+    end = source.layout.data_end
+    with _new_file(target) as file, unchanged(source), source.path.open("rb") as original:
+        file.seek(end)
+        writer = AnnotationWriter(file, source, Contents.of(source), end, source.layout.data_crc)
+        writer.index_cut_chunk()
+        with _copying(original, file, end):
+            yield writer
+            writer.finish()
+
+
+@contextmanager
+def sidecar(source: Recording, target: Path, profile: str = "") -> Iterator[AnnotationWriter]:
+    """Write a file with nothing but annotations of `source` to `target`; else as `annotated_copy`.
+
+    `profile` is that of its header, "ros2" when all its messages are.
+    """
+    _refuse_annotated(source)
+    header = Header(profile=profile, library=f"lsnet-pipe {app_version()}")
+    start = MAGIC + encode_records([header])
+    with _new_file(target) as file, unchanged(source):
+        file.write(start)
+        writer = AnnotationWriter(file, source, Contents(), len(start), zlib.crc32(start))
+        yield writer
+        writer.finish()
+
+
+@contextmanager
+def unchanged(source: Recording) -> Iterator[None]:
+    """Raise RecordingError on a clean exit when the file is no longer the one that was opened."""
+    before = _fingerprint(source.path)
+    yield
+    if _fingerprint(source.path) != before or before[0] != source.size_bytes:
+        raise RecordingError(source.path, "it changed while it was read", "wait until it is complete")
+
+
+class AnnotationWriter:
+    """Appends channels, messages and metadata behind the `position` bytes that `file` already has.
+
+    `data_crc` is the CRC-32 of those bytes, or 0 when it is not known.
+    """
+
+    def __init__(
+        self, file: BinaryIO, source: Recording, contents: Contents, position: int, data_crc: int
+    ) -> None:
+        self._file = file
+        self._source = source
+        self._contents = contents
+        self._position = position
+        self._data_crc = data_crc
+        self._chunk = ChunkBuilder()
+        self._compressor = zstandard.ZstdCompressor(level=1)
+        self._schema_ids: dict[tuple[str, str, bytes], int] = {}
+
+    def add_channel(
+        self,
+        topic: str,
+        *,
+        schema_name: str,
+        schema_encoding: str,
+        schema_data: bytes,
+        message_encoding: str,
+        metadata: Mapping[str, str],
+    ) -> int:
+        """The id of a new channel. Raises RecordingError when the recording has a channel of this topic."""
+        taken = (*self._source.layout.channels.values(), *self._contents.channels.values())
+        if any(channel.topic == topic for channel in taken):
+            raise RecordingError(
+                self._source.path, f"it has a channel {topic} already", "process it with --write none"
+            )
+        schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
+        channel_id = self._free_id(self._contents.used_channel_ids)
+        channel = Channel(channel_id, topic, message_encoding, dict(metadata), schema_id)
+        self._contents.channels[channel_id] = channel
+        self._contents.used_channel_ids.add(channel_id)
+        self._chunk.records += encode_records([channel])
+        return channel_id
+
+    def write(self, channel_id: int, log_time_ns: int, publish_time_ns: int, data: bytes) -> None:
+        """Append a message."""
+        if self._chunk.is_full_at(log_time_ns):
+            self._flush_chunk()
+        sequence = self._contents.message_counts[channel_id]
+        self._contents.message_counts[channel_id] = sequence + 1
+        self._chunk.add(channel_id, sequence, log_time_ns, publish_time_ns, data)
+
+    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
+        """Append a Metadata record."""
+        record = encode_records([Metadata(name=name, metadata=dict(metadata))])
+        self._contents.metadata.append(MetadataIndex(self._position, len(record), name))
+        self._append(record)
+
+    def index_cut_chunk(self) -> None:
+        """Append the message indexes that a cut took from the last chunk: players refuse a file with gaps."""
+        last = self._source.layout.extents[-1:]
+        chunk = last[0].chunk if last and self._source.losses else None
+        if chunk is None or chunk.message_index_offsets or last[0].offset + last[0].length != self._position:
+            return
+        with RecordingFile(self._source.path) as file, suppress(Damage):
+            index = message_index(read_extent(file, last[0]))
+            encoded, offsets = encode_message_indexes(index, self._position)
+            self._contents.chunks[-1] = replace(
+                chunk, message_index_offsets=offsets, message_index_length=len(encoded)
+            )
+            self._append(encoded)
+
+    def finish(self) -> None:
+        """Write what is left, the summary and the footer."""
+        self._flush_chunk()
+        self._file.write(encode_end(self._contents, self._position, self._data_crc))
+
+    def _schema_id(self, name: str, encoding: str, data: bytes) -> int:
+        key = (name, encoding, data)
+        if key not in self._schema_ids:
+            schema_id = self._free_id(self._contents.schemas.keys())
+            schema = Schema(id=schema_id, name=name, encoding=encoding, data=data)
+            self._schema_ids[key] = schema.id
+            self._contents.schemas[schema.id] = schema
+            self._chunk.records += encode_records([schema])
+        return self._schema_ids[key]
+
+    def _free_id(self, used: AbstractSet[int]) -> int:
+        """The id above all used ones, or where there is none above, the lowest free one."""
+        free = max(used, default=0) + 1
+        if free > _MAX_ID:
+            free = next((i for i in range(1, _MAX_ID) if i not in used), 0)
+        if not free:
+            raise RecordingError(
+                self._source.path, "it has no channel ids left", "process it with --write sidecar"
+            )
+        return free
+
+    def _flush_chunk(self) -> None:
+        if self._chunk.records:
+            encoded, index = self._chunk.encode(self._compressor, self._position)
+            self._contents.add_chunk(index)
+            self._append(encoded)
+            self._chunk = ChunkBuilder()
+
+    def _append(self, data: bytes) -> None:
+        self._file.write(data)
+        self._position += len(data)
+        if self._data_crc:
+            self._data_crc = zlib.crc32(data, self._data_crc)
+
+
+def _refuse_annotated(source: Recording) -> None:
+    if source.is_annotated_copy:
+        raise RecordingError(
+            source.path, "it carries annotations already", "annotate the recording it is from"
+        )
+
+
+def _fingerprint(path: Path) -> tuple[int, int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns, status.st_ino
+
+
+@contextmanager
+def _new_file(target: Path) -> Iterator[BinaryIO]:
+    """A file at `target` that is gone after an exception."""
+    with target.open("xb") as file:
+        try:
+            yield file
+        except BaseException:
+            target.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def _copying(source: BinaryIO, target: BinaryIO, length: int) -> Iterator[None]:
+    """Copy the first `length` bytes of a file meanwhile; done on a clean exit, stopped by an exception."""
+    stop = Event()
+    with ThreadPoolExecutor(1) as pool:
+        copy = pool.submit(_copy_prefix, source.fileno(), target.fileno(), length, stop)
+        try:
+            yield
+        except BaseException:
+            stop.set()
+            raise
+        copy.result()
+
+
+def _copy_prefix(source: int, target: int, length: int, stop: Event) -> None:
+    """Copy between descriptors, inside the kernel and sharing blocks where the file system can."""
+    copy: Callable[[int, int, int, int, int], int] = os.copy_file_range
+    offset = 0
+    while offset < length and not stop.is_set():
+        count = min(length - offset, _COPY_BYTES)
+        try:
+            n_copied = copy(source, target, count, offset, offset)
+        except OSError as error:
+            if error.errno not in _NO_COPY_RANGE or copy is _copy_bytes:
+                raise
+            copy = _copy_bytes
+            continue
+        if n_copied == 0:
+            raise OSError(errno.EIO, "the recording became shorter while it was copied")
+        offset += n_copied
+
+
+def _copy_bytes(source: int, target: int, count: int, source_offset: int, target_offset: int) -> int:
+    """The part of os.copy_file_range that is needed, for file systems without it."""
+    return os.pwrite(target, os.pread(source, min(count, 1 << 20), source_offset), target_offset)

@@ -1,0 +1,213 @@
+"""New recordings of camera images and positions: Foxglove schemas in protobuf, zstd chunks."""
+
+from __future__ import annotations
+
+import errno
+import os
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from mcap.writer import CompressionType, Writer
+
+from inspect_pipeline.atomic import appearing
+from inspect_pipeline.messages.protobuf import file_descriptor_set
+from inspect_pipeline.resources import app_version
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from google.protobuf.descriptor import FileDescriptor
+    from google.protobuf.message import Message
+    from mcap.records import Attachment, Channel, Schema
+
+    from inspect_pipeline.geometry.attitude import Quaternion
+
+
+class MessageSchema(NamedTuple):
+    """The name, encoding and text of a schema, and how messages of it are encoded."""
+
+    name: str
+    encoding: str
+    data: bytes
+    message_encoding: str
+
+
+@contextmanager
+def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
+    """Write a recording to `target`, which must not exist. It appears whole, on a clean exit.
+
+    `profile` is that of its header, such as "ros2". Raises OSError when the target cannot be written.
+    """
+    if target.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+    with appearing(target) as path, path.open("wb") as file:
+        # Without summary offsets: the package writes empty groups, which checkers take for errors.
+        writer = Writer(file, compression=CompressionType.ZSTD, use_summary_offsets=False)
+        writer.start(profile=profile, library=f"lsnet-pipe {app_version()}")
+        yield RecordingAuthor(writer)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+class RecordingAuthor:
+    """Appends messages to a new recording; a header stamp, log time and publish time are one if not given."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schema_ids: dict[str, int] = {}
+        self._channel_ids: dict[str, int] = {}
+        self._copied_schema_ids: dict[tuple[str, str, bytes], int] = {}
+        self._copied_channel_ids: dict[tuple[str, str, int], int] = {}
+
+    def write_image(
+        self,
+        topic: str,
+        time_ns: int,
+        frame_id: str,
+        data: bytes,
+        image_format: str,
+        *,
+        stamp_ns: int | None = None,
+    ) -> None:
+        """Append an encoded image as foxglove.CompressedImage; `image_format` is "jpeg", "png" or "webp".
+
+        stamp_ns: the image's own stamp where the camera's clock is another.
+        """
+        message = CompressedImage(frame_id=frame_id, data=data, format=image_format)
+        message.timestamp.FromNanoseconds(time_ns if stamp_ns is None else stamp_ns)
+        self._write(topic, time_ns, message)
+
+    def write_video(self, topic: str, time_ns: int, frame_id: str, data: bytes, codec: str) -> None:
+        """Append a picture of a video in Annex B as foxglove.CompressedVideo; `codec` is "h264" or "h265"."""
+        message = CompressedVideo(frame_id=frame_id, data=data, format=codec)
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_attitude(
+        self,
+        topic: str,
+        time_ns: int,
+        parent_frame_id: str,
+        child_frame_id: str,
+        rotation: Quaternion,
+        *,
+        translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Append the rotation of a frame in its parent, and its place, as foxglove.FrameTransform."""
+        message = FrameTransform(parent_frame_id=parent_frame_id, child_frame_id=child_frame_id)
+        message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z = rotation
+        message.translation.x, message.translation.y, message.translation.z = translation_m
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_location(
+        self,
+        topic: str,
+        time_ns: int,
+        frame_id: str,
+        *,
+        latitude_deg: float,
+        longitude_deg: float,
+        altitude_m: float,
+    ) -> None:
+        """Append a position (WGS 84, metres above the ellipsoid) as foxglove.LocationFix."""
+        message = LocationFix(
+            frame_id=frame_id, latitude=latitude_deg, longitude=longitude_deg, altitude=altitude_m
+        )
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_calibration(
+        self,
+        topic: str,
+        time_ns: int,
+        frame_id: str,
+        *,
+        image_size: tuple[int, int],
+        focal_px: tuple[float, float],
+        centre_px: tuple[float, float],
+        distortion: Sequence[float] = (),
+    ) -> None:
+        """Append a pinhole camera as foxglove.CameraCalibration.
+
+        image_size is (height, width); focal_px and centre_px are (x, y), the centre counted from the
+        top-left corner; distortion holds the plumb_bob coefficients k1, k2, p1, p2, k3, or nothing.
+        """
+        (height, width), (fx, fy), (cx, cy) = image_size, focal_px, centre_px
+        # Calibrations count from the centre of the top-left pixel.
+        cx, cy = cx - 0.5, cy - 0.5
+        message = CameraCalibration(
+            frame_id=frame_id,
+            width=width,
+            height=height,
+            distortion_model="plumb_bob",
+            D=distortion or [0.0] * 5,
+            K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
+            R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
+            P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
+        )
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
+        """Append a Metadata record."""
+        self._writer.add_metadata(name, dict(metadata))
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Append an attachment of another recording."""
+        self._writer.add_attachment(
+            attachment.create_time,
+            attachment.log_time,
+            attachment.name,
+            attachment.media_type,
+            attachment.data,
+        )
+
+    def copy_message(
+        self, channel: Channel, schema: Schema | None, log_time_ns: int, publish_time_ns: int, data: bytes
+    ) -> None:
+        """Append a message of another recording to the channel of the same topic, encoding and schema."""
+        schema_id = self._copied_schema_id(schema) if schema else 0
+        key = (channel.topic, channel.message_encoding, schema_id)
+        if key not in self._copied_channel_ids:
+            self._copied_channel_ids[key] = self._writer.register_channel(*key, channel.metadata)
+        self._writer.add_message(self._copied_channel_ids[key], log_time_ns, data, publish_time_ns)
+
+    def _copied_schema_id(self, schema: Schema) -> int:
+        key = (schema.name, schema.encoding, schema.data)
+        if key not in self._copied_schema_ids:
+            self._copied_schema_ids[key] = self._writer.register_schema(*key)
+        return self._copied_schema_ids[key]
+
+    def write_encoded(self, topic: str, time_ns: int, schema: MessageSchema, data: bytes) -> None:
+        """Append a message that is encoded already."""
+        if topic not in self._channel_ids:
+            if schema.name not in self._schema_ids:
+                self._schema_ids[schema.name] = self._writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
+            self._channel_ids[topic] = self._writer.register_channel(
+                topic, schema.message_encoding, self._schema_ids[schema.name]
+            )
+        self._writer.add_message(self._channel_ids[topic], time_ns, data, publish_time=time_ns)
+
+    def _write(self, topic: str, time_ns: int, message: Message) -> None:
+        if topic not in self._channel_ids:
+            schema_id = self._schema_id(message)
+            self._channel_ids[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
+        self._writer.add_message(
+            self._channel_ids[topic], time_ns, message.SerializeToString(), publish_time=time_ns
+        )
+
+    def _schema_id(self, message: Message) -> int:
+        descriptor = message.DESCRIPTOR
+        if descriptor.full_name not in self._schema_ids:
+            self._schema_ids[descriptor.full_name] = self._writer.register_schema(
+                descriptor.full_name, "protobuf", file_descriptor_set(cast("FileDescriptor", descriptor.file))
+            )
+        return self._schema_ids[descriptor.full_name]

@@ -1,0 +1,1 @@
+"""Simulated flights along a drawn power line, with their truth."""

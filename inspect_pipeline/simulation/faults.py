@@ -1,0 +1,127 @@
+"""Faults planted into a simulated flight: what each does to the line, or when it strikes the frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from inspect_pipeline.simulation.options import FRAME_FAULTS, LINE_FAULTS, FaultKind
+from inspect_pipeline.simulation.power_line import SPAN_M, cross, move_stretch, remove_stretch
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.simulation.power_line import PowerLine
+
+    Floats = NDArray[np.float64]
+
+_MIDDLE_SHARE = (0.3, 0.7)  # of a span: where stretches begin or lie
+_GAP_M = (3.0, 5.0)
+_EXTRA_SAG_M = (1.4, 2.4)
+_CLOSE_SHARE = 0.85  # of the distance between two conductors is lost
+_CROSSING_RAD = np.deg2rad((40, 90))
+_STRUCK_S = (2.0, 4.0)  # how long frames are struck
+_AMOUNTS = {FaultKind.CLOCK_STEP: (0.7, 5.0), FaultKind.ORIENTATION_JUMP: (0.4, 0.6)}  # s, rad
+_QUIET_SHARE = 0.12  # of the flight, at its start and end, has no fault
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlantedFault:
+    """A fault of the line. `evidence` (M, 3) are the points at which it can be seen, there or missing."""
+
+    kind: FaultKind
+    span: int
+    conductor_ids: tuple[str, ...]
+    evidence: Floats
+
+
+class TimedFault(NamedTuple):
+    """A fault of frames or messages from one time to another, in s.
+
+    `amount` is in s for a clock step, in rad for an orientation jump; both last to the end of the flight.
+    """
+
+    kind: FaultKind
+    start_s: float
+    end_s: float
+    amount: float
+
+
+def plant_faults(
+    line: PowerLine, kinds: Sequence[FaultKind], seen_shares: Floats, rng: np.random.Generator
+) -> tuple[PowerLine, list[PlantedFault]]:
+    """The line with the faults of it among `kinds`, in the spans that are seen best.
+
+    seen_shares (n_spans,): how much of each span the flight shows.
+    """
+    spans = np.argsort(-np.round(seen_shares, 1) + 0.01 * rng.random(len(seen_shares)))
+    planted = []
+    for i, kind in enumerate(kind for kind in kinds if kind in LINE_FAULTS):
+        line, fault = _plant(line, kind, int(spans[i % len(spans)]), rng)
+        planted.append(fault)
+    return line, planted
+
+
+def _plant(
+    line: PowerLine, kind: FaultKind, span: int, rng: np.random.Generator
+) -> tuple[PowerLine, PlantedFault]:
+    from_x = float(line.structures_x[span])
+    if kind == FaultKind.CROSSING_LINE:
+        changed = cross(line, from_x + rng.uniform(*_MIDDLE_SHARE) * SPAN_M, rng.uniform(*_CROSSING_RAD))
+        foreign = changed.foreign[-1]
+        return changed, PlantedFault(kind, span, (foreign.conductor_id,), foreign.points)
+    n_phases = max(1, len(line.conductors) - 2)  # whose next conductor is a phase too, where there are two
+    number = int(rng.integers(n_phases))
+    conductor, neighbour = line.conductors[number : number + 2]
+    name, points = conductor.conductor_id, conductor.points
+    along = (points[:, 0] - from_x) / SPAN_M
+    is_in_span = (along >= 0) & (along <= 1)
+    if kind == FaultKind.SAG_OUTLIER:
+        drop = np.where(is_in_span, rng.uniform(*_EXTRA_SAG_M) * 4 * along * (1 - along), 0.0)
+        shift = drop[:, np.newaxis] * (0.0, 0.0, -1.0)
+        changed = move_stretch(line, name, shift)
+        evidence = changed[name].points[drop > drop.max() / 2]
+        return changed, PlantedFault(kind, span, (name,), evidence)
+    if kind == FaultKind.CONDUCTORS_TOO_CLOSE:
+        bulge = np.where((along > 0.2) & (along < 0.8), np.sin(np.pi * (along - 0.2) / 0.6) ** 2, 0.0)
+        shift = (_CLOSE_SHARE * bulge)[:, np.newaxis] * (neighbour.points - points)
+        changed = move_stretch(line, name, shift)
+        evidence = changed[name].points[_CLOSE_SHARE * bulge > 0.5]
+        return changed, PlantedFault(kind, span, (name, neighbour.conductor_id), evidence)
+    first, last = _absent_stretch(kind, rng)
+    changed = remove_stretch(line, name, from_x + first * SPAN_M, from_x + last * SPAN_M)
+    return changed, PlantedFault(kind, span, (name,), points[(along >= first) & (along <= last)])
+
+
+def _absent_stretch(kind: FaultKind, rng: np.random.Generator) -> tuple[float, float]:
+    """Which share of the span a conductor lacks: all of it, from a break to the next structure, or a gap."""
+    if kind == FaultKind.MISSING_CONDUCTOR:
+        return 0.0, 1.0
+    start = rng.uniform(*_MIDDLE_SHARE)
+    if kind == FaultKind.BROKEN_CONDUCTOR:
+        return start, 1.0
+    return start, start + rng.uniform(*_GAP_M) / SPAN_M
+
+
+def schedule_faults(
+    kinds: Sequence[FaultKind], seconds: float, fps: float, rng: np.random.Generator
+) -> list[TimedFault]:
+    """When the faults of frames and messages among `kinds` strike, one after the other."""
+    struck = [kind for kind in kinds if kind in FRAME_FAULTS]
+    if not struck:
+        return []
+    start_s, end_s = _QUIET_SHARE * seconds, (1 - _QUIET_SHARE) * seconds
+    slot_s = (end_s - start_s) / len(struck)
+    timed = []
+    for i, kind in enumerate(struck):
+        length_s = min(max(rng.uniform(*_STRUCK_S), 4 / fps), 0.7 * slot_s)
+        begins_s = start_s + i * slot_s + rng.uniform(0, slot_s - length_s)
+        least, most = _AMOUNTS.get(kind, (0.0, 0.0))
+        timed.append(
+            TimedFault(kind, begins_s, begins_s + length_s, rng.choice((-1, 1)) * rng.uniform(least, most))
+        )
+    return timed

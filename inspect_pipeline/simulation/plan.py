@@ -1,0 +1,157 @@
+"""A simulated flight before it is flown: its line with faults, its path, and what strikes its frames when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from inspect_pipeline.simulation.faults import plant_faults, schedule_faults
+from inspect_pipeline.simulation.options import LINE_FAULTS, FaultKind, FlightKind
+from inspect_pipeline.simulation.path import SPEED_M_S, Path
+from inspect_pipeline.simulation.power_line import SPAN_M, PowerLine, hang_line
+from inspect_pipeline.simulation.scene import Gaze, look, near
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.simulation.faults import PlantedFault, TimedFault
+    from inspect_pipeline.simulation.options import SimulationOptions
+    from inspect_pipeline.simulation.path import Pose
+    from inspect_pipeline.simulation.scene import Camera
+
+    Floats = NDArray[np.float64]
+
+START_NS = 1_777_887_000 * 10**9  # 2026-05-04 09:30 UTC
+POSE_PERIOD_NS = 100_000_000
+_FOCAL_SHARE = 0.95  # of the image's width
+_FIRST_STRUCTURE = -1
+_BEYOND_M = 90.0  # the line goes on behind what is flown past
+_AXIS_STEP_M = 0.1
+_RAISED_SHARE = 1.3  # of what a line is wider than the usual one
+_USUAL_HALF_M = 1.6
+
+
+class Shot(NamedTuple):
+    """A moment at which the camera takes, or should take, a picture."""
+
+    number: int
+    time_ns: int  # since the start
+    is_dropped: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightPlan:
+    """Everything that is decided before a flight; `path` and `line` are in metres, see `simulate_line`.
+
+    axis: (N, 3) points every few centimetres along the mean of the conductors without faults.
+    azimuth_deg: which way, clockwise from north, x points.
+    """
+
+    options: SimulationOptions
+    path: Path
+    line: PowerLine
+    axis: Floats
+    azimuth_deg: float
+    planted: tuple[PlantedFault, ...]
+    timed: tuple[TimedFault, ...]
+
+    def shots(self) -> Iterator[Shot]:
+        """All moments in order."""
+        for i in range(max(1, round(self.options.seconds * self.options.fps))):
+            time_ns = round(i / self.options.fps * 1e9)
+            yield Shot(i, time_ns, self.struck_by(FaultKind.DROPOUT, time_ns) is not None)
+
+    def struck_by(self, kind: FaultKind, time_ns: int) -> TimedFault | None:
+        """The fault of a kind that lasts at a time."""
+        return next((f for f in self.timed if f.kind == kind and f.start_s <= time_ns / 1e9 < f.end_s), None)
+
+    def sum_since(self, kind: FaultKind, time_ns: int) -> float:
+        """What the faults of a kind that lasts to the end amount to at a time."""
+        return sum(f.amount for f in self.timed if f.kind == kind and f.start_s <= time_ns / 1e9)
+
+    def stamp_ns(self, time_ns: int) -> int:
+        """What the camera's clock says at a time."""
+        return START_NS + time_ns + round(self.sum_since(FaultKind.CLOCK_STEP, time_ns) * 1e9)
+
+    def pose(self, time_ns: int) -> Pose:
+        """Where the drone is and looks."""
+        return self.path.at(time_ns / 1e9)
+
+    def camera(self, time_ns: int) -> Camera:
+        """The camera; one that slipped in its mount is rolled, which the pose does not say."""
+        pose = self.pose(time_ns)
+        roll_rad = self.sum_since(FaultKind.ORIENTATION_JUMP, time_ns)
+        return look(
+            np.array(pose.position),
+            Gaze(pose.yaw_rad, pose.pitch_rad, roll_rad),
+            _FOCAL_SHARE * self.options.image_size[1],
+            self.options.image_size,
+        )
+
+    def position_times_ns(self) -> list[int]:
+        """When positions are recorded, until the last picture."""
+        *_, last = self.shots()
+        times_ns = range(0, last.time_ns + 1, POSE_PERIOD_NS)
+        return [time_ns for time_ns in times_ns if not self.struck_by(FaultKind.GPS_GAP, time_ns)]
+
+    def axis_seen(self, camera: Camera) -> NDArray[np.int64]:
+        """The numbers of the axis's points that a camera sees."""
+        window = near(camera, self.axis)
+        seen: NDArray[np.int64] = np.flatnonzero(camera.sees(*camera.project(self.axis[window])))
+        return seen + int(window.start)
+
+    def shares_of_spans(self, is_seen: NDArray[np.bool_]) -> Floats:
+        """(n_spans,): the share of each span's axis where `is_seen` (N,) is True."""
+        numbers = self.line.span_numbers(self.axis[:, 0])
+        shares: Floats = np.bincount(numbers, is_seen) / np.bincount(numbers)
+        return shares
+
+    def span_id(self, span: int) -> str:
+        """The name of the span after structure number `span`, both counted from 0."""
+        return f"{self.structure_id(span)}-{self.structure_id(span + 1)}"
+
+    def structure_id(self, structure: int) -> str:
+        """The name of a structure."""
+        return f"S{structure + 1:02d}"
+
+
+def plan_flight(options: SimulationOptions) -> FlightPlan:
+    """Decide everything about a flight by its options. Raises ValueError for a line that cannot be."""
+    rng = np.random.default_rng([options.seed, 1])
+    n_structures = options.n_structures or _n_passed(options)
+    line = hang_line(_FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle)
+    raised_m = _RAISED_SHARE * max(0.0, line.half_width_m - _USUAL_HALF_M)
+    path = Path(options.flight, options.seconds, raised_m, rng.uniform(0, 2 * np.pi, 4))
+    azimuth_deg = float(rng.uniform(0, 360))
+    timed = schedule_faults(options.faults, options.seconds, options.fps, rng)
+    clean = FlightPlan(options, path, line, _axis(line), azimuth_deg, (), tuple(timed))
+    if not set(options.faults) & set(LINE_FAULTS):
+        return clean
+    faulty, planted = plant_faults(line, options.faults, _seen_shares(clean), rng)
+    return replace(clean, line=faulty, planted=tuple(planted))
+
+
+def _n_passed(options: SimulationOptions) -> int:
+    """How many structures a line needs that is longer than the flight."""
+    passes = options.flight in {FlightKind.PASS_BY, FlightKind.LOSS}
+    last_m = _BEYOND_M + (SPEED_M_S * options.seconds if passes else SPAN_M)
+    return int(np.ceil(last_m / SPAN_M)) + 1 - _FIRST_STRUCTURE
+
+
+def _axis(line: PowerLine) -> Floats:
+    coarse = np.mean([conductor.points for conductor in line.conductors], axis=0)
+    x = np.arange(coarse[0, 0], coarse[-1, 0], _AXIS_STEP_M)
+    return np.column_stack((x, *(np.interp(x, coarse[:, 0], column) for column in coarse.T[1:])))
+
+
+def _seen_shares(plan: FlightPlan) -> Floats:
+    """How much of each span's axis any picture shows."""
+    is_seen = np.zeros(len(plan.axis), bool)
+    for shot in plan.shots():
+        if not shot.is_dropped:
+            is_seen[plan.axis_seen(plan.camera(shot.time_ns))] = True
+    return plan.shares_of_spans(is_seen)

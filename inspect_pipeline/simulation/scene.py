@@ -1,0 +1,157 @@
+"""The drawn world: a camera, what it sees of conductors, trees. In m: x along the line, y left, z up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.simulation.power_line import Conductor
+
+    Floats = NDArray[np.float64]
+
+_NEAREST_M = 1.0
+_FARTHEST_M = 70.0  # along the line: beyond it nothing is told apart
+
+
+class Tree(NamedTuple):
+    """A crown of leaf clumps: centres (N, 3) and radii (N,) in m, their light (N,) in [0, 1]."""
+
+    clumps: Floats
+    radii_m: Floats
+    light: Floats
+    tint: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    position: (3,) in m; rotation: (3, 3) from the world to the camera (x right, y down, z ahead).
+    focal_px is that of both axes; the optical axis meets the middle of the image of (height, width).
+    """
+
+    position: Floats
+    rotation: Floats
+    focal_px: float
+    image_size: tuple[int, int]
+
+    @property
+    def matrix(self) -> Floats:
+        """(3, 4) from homogeneous world to homogeneous pixels."""
+        height, width = self.image_size
+        f = self.focal_px
+        intrinsics = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
+        return intrinsics @ np.column_stack((self.rotation, -self.rotation @ self.position))
+
+    def sees(self, pixels: Floats, depths: Floats) -> NDArray[np.bool_]:
+        """Which of projected points are inside the image and not too near."""
+        height, width = self.image_size
+        x, y = pixels.T
+        seen: NDArray[np.bool_] = (depths > _NEAREST_M) & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
+        return seen
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """(N, 2) pixels and (N,) depths in m of (N, 3) points; the pixels mean nothing behind the camera."""
+        height, width = self.image_size
+        seen = (points - self.position) @ self.rotation.T
+        depths = seen[:, 2]
+        scale = self.focal_px / np.where(np.abs(depths) < 1e-9, 1e-9, depths)
+        return seen[:, :2] * scale[:, np.newaxis] + (width / 2, height / 2), depths
+
+
+class Gaze(NamedTuple):
+    """Which way a camera looks from x: turned left by yaw, down by pitch, then rolled to the right."""
+
+    yaw_rad: float
+    pitch_rad: float
+    roll_rad: float = 0.0
+
+
+def look(position: Floats, gaze: Gaze, focal_px: float, size: tuple[int, int]) -> Camera:
+    """A camera at (3,) m, of an image of (height, width)."""
+    (sin_y, sin_p, sin_r), (cos_y, cos_p, cos_r) = np.sin(gaze), np.cos(gaze)
+    ahead = np.array([cos_y * cos_p, sin_y * cos_p, -sin_p])
+    level = np.array([sin_y, -cos_y, 0.0])
+    under = np.array([-sin_p * cos_y, -sin_p * sin_y, -cos_p])
+    right, down = level * cos_r + under * sin_r, under * cos_r - level * sin_r
+    return Camera(position, np.stack((right, down, ahead)), focal_px, size)
+
+
+def near(camera: Camera, points: Floats) -> slice:
+    """Which of (N, 3) points in the order of x are near enough to be told apart."""
+    x = camera.position[0]
+    first, last = np.searchsorted(points[:, 0], (x - _FARTHEST_M, x + _FARTHEST_M)).tolist()
+    return slice(first, last)
+
+
+class VisiblePart(NamedTuple):
+    """A part of a conductor inside the image: its points' numbers [first, last), pixels (N, 2), widths (N,).
+
+    The pixels begin and end at the image's border where the conductor goes on beyond it.
+    """
+
+    first: int
+    last: int
+    pixels: Floats
+    widths_px: Floats
+
+
+def visible_parts(camera: Camera, conductor: Conductor) -> list[VisiblePart]:
+    """What the camera sees of a conductor that is there."""
+    window = near(camera, conductor.points)
+    offset = window.start
+    is_there = conductor.is_there[window]
+    pixels, depths = camera.project(conductor.points[window])
+    edges = np.flatnonzero(
+        np.diff(is_there & camera.sees(pixels, depths), prepend=False, append=False)
+    ).reshape(-1, 2)
+    parts = []
+    for first, last in edges.tolist():
+        kept = slice(first, last)
+        shown, widths_px = pixels[kept].copy(), conductor.diameter_m * camera.focal_px / depths[kept]
+        for inside, outside, end in ((first, first - 1, 0), (last - 1, last, -1)):
+            if 0 <= outside < len(pixels) and is_there[outside] and depths[outside] > _NEAREST_M:
+                shown[end] = _at_border(pixels[inside], pixels[outside], camera.image_size)
+        if last - first > 1:
+            parts.append(VisiblePart(offset + first, offset + last, shown, widths_px))
+    return parts
+
+
+def _at_border(inside: Floats, outside: Floats, image_size: tuple[int, int]) -> Floats:
+    """Where the way from a point in the image to one beyond it leaves the image."""
+    step = outside - inside
+    border = np.where(step > 0, image_size[::-1], 0.0)
+    shares = np.divide(border - inside, step, out=np.full(2, np.inf), where=step != 0)
+    left: Floats = inside + max(0.0, float(shares.min())) * step
+    return left
+
+
+def plant_trees(rng: np.random.Generator, first_m: float, last_m: float, sun: Floats) -> list[Tree]:
+    """Trees on both sides of the line, too low and too far to hide it."""
+    count = int((last_m - first_m) * 0.5)
+    trees = []
+    for x in rng.uniform(first_m, last_m, count):
+        side, distance_m = rng.choice((-1, 1)), 7 + rng.gamma(2.0, 7.0)
+        radius_m = rng.uniform(0.8, 2.6)
+        trees.append(_grow(rng, np.array([x, side * distance_m, 1.1 * radius_m]), radius_m, sun))
+    return trees
+
+
+def _grow(rng: np.random.Generator, centre: Floats, radius_m: float, sun: Floats) -> Tree:
+    n_clumps = int(420 * radius_m**1.5)
+    outward = rng.normal(size=(n_clumps, 3)) * (1, 1, 0.9)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    lumps = 1 + 0.22 * np.sin(outward @ rng.normal(0, 3, (3, 3)) + rng.uniform(0, 6, 3)).sum(axis=1)
+    reach = radius_m * lumps * rng.uniform(0.7, 1.0, n_clumps)
+    light = 0.42 + 0.36 * outward @ sun + 0.5 * (lumps - 1) + rng.normal(0, 0.12, n_clumps)
+    return Tree(
+        clumps=centre + outward * reach[:, np.newaxis],
+        radii_m=rng.uniform(0.05, 0.14, n_clumps),
+        light=np.clip(light, 0, 1),
+        tint=rng.uniform(0, 1) ** 2,
+    )

@@ -1,0 +1,185 @@
+"""Recordings of flights that never were: a drawn line over a drawn landscape, and where its conductors are.
+
+Images, positions, attitudes and the camera's calibration go into the recording; the truth of `simulate_truth`
+into a JSON file beside it. The same options give the same pictures.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from inspect_pipeline.atomic import appearing
+from inspect_pipeline.errors import OutputError
+from inspect_pipeline.geometry.attitude import YawPitchRoll, to_enu
+from inspect_pipeline.recording.ros2_writer import Ros2Author
+from inspect_pipeline.recording.writer import new_recording
+from inspect_pipeline.simulation.ground import draw_ground, lay_photograph
+from inspect_pipeline.simulation.options import SchemaKind, SimulationOptions
+from inspect_pipeline.simulation.plan import POSE_PERIOD_NS, START_NS, plan_flight
+from inspect_pipeline.simulation.render import Landscape, render
+from inspect_pipeline.simulation.scene import plant_trees
+from inspect_pipeline.simulation.truth import compass_deg, to_east_north, to_geodetic, truth_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.recording.writer import RecordingAuthor
+    from inspect_pipeline.simulation.plan import FlightPlan
+    from inspect_pipeline.simulation.records import FlightTruth, FrameTruth
+    from inspect_pipeline.simulation.scene import Camera
+
+    Author = RecordingAuthor | Ros2Author
+
+__all__ = ["SimulationOptions", "simulate_flight"]
+
+
+class _Topics(NamedTuple):
+    image: str
+    calibration: str
+    location: str
+    vehicle: str
+    camera: str
+
+
+_TOPICS = {
+    SchemaKind.FOXGLOVE: _Topics(
+        "/camera/image", "/camera/calibration", "/drone/location", "/drone/attitude", "/camera/attitude"
+    ),
+    SchemaKind.ROS2: _Topics(
+        "/camera/image/compressed", "/camera/camera_info", "/drone/fix", "/drone/pose", "/camera/pose"
+    ),
+}
+_VIEW_M = (-5.0, 75.0)  # where trees are planted, behind and ahead of the flight
+_ARM_BEYOND_M = 0.2
+_JPEG_QUALITY = 92
+
+
+def simulate_flight(target: Path, options: SimulationOptions) -> Path:
+    """Write a recording to `target` and the truth beside it, whose path is returned.
+
+    Raises OutputError when the target exists or cannot be written, LSNetError for a photograph that cannot
+    be read, or without Mitsuba where that is asked for.
+    """
+    truth_path = target.with_suffix(".truth.json")
+    plan = plan_flight(options)
+    truth = truth_of(plan)
+    try:
+        with new_recording(target, "ros2" if options.schema == SchemaKind.ROS2 else "") as author:
+            _fly(Ros2Author(author) if options.schema == SchemaKind.ROS2 else author, plan, truth)
+        with appearing(truth_path) as part:
+            part.write_text(json.dumps(_to_json(truth)) + "\n", encoding="utf-8")
+    except FileExistsError as error:
+        raise OutputError(target, "it exists already", "remove it or name another file") from error
+    except OSError as error:
+        raise OutputError(target, f"cannot be written ({error.strerror})", "name another file") from error
+    return truth_path
+
+
+def _fly(author: Author, plan: FlightPlan, truth: FlightTruth) -> None:
+    """Write all messages in the order of time."""
+    topics = _TOPICS[plan.options.schema]
+    rng = np.random.default_rng(plan.options.seed)
+    landscape = _make_landscape(rng, plan)
+    fixes_ns = set(plan.position_times_ns())
+    next_ns = 0
+    for frame in truth.frames:
+        time_ns = frame.log_time_ns - START_NS
+        while next_ns <= time_ns:
+            _write_attitudes(author, topics, plan, next_ns)
+            if next_ns in fixes_ns:
+                _write_location(author, topics.location, plan, next_ns)
+            next_ns += POSE_PERIOD_NS
+        if not frame.dropped:
+            camera = plan.camera(time_ns)
+            _write_calibration(author, topics.calibration, frame, camera)
+            _write_image(
+                author,
+                topics.image,
+                frame,
+                render(landscape, camera, frame.quality, rng, plan.options.render),
+            )
+
+
+def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
+    flown_x = [plan.pose(shot.time_ns).position[0] for shot in plan.shots()]
+    sun = np.array([-0.45, -0.5, 0.74])
+    sun /= np.linalg.norm(sun)
+    return Landscape(
+        ground=_make_ground(rng, plan.options.ground),
+        trees=plant_trees(rng, min(flown_x) + _VIEW_M[0], max(flown_x) + _VIEW_M[1], sun),
+        conductors=(*plan.line.foreign, *plan.line.conductors),
+        poles=plan.line.structures_x.tolist(),
+        crossarm_half_m=plan.line.half_width_m + _ARM_BEYOND_M,
+        sun=sun,
+    )
+
+
+def _make_ground(rng: np.random.Generator, photograph: Path | None) -> NDArray[np.uint8]:
+    if photograph is None:
+        return draw_ground(rng)
+    from lsnet.synth.backgrounds import load_rgb  # noqa: PLC0415 - loads much
+
+    return lay_photograph(load_rgb(photograph))
+
+
+def _to_json(truth: FlightTruth) -> dict[str, Any]:
+    """The truth as JSON has it, pixels to a hundredth."""
+
+    def plain(value: object) -> object:
+        if isinstance(value, Path):
+            return value.name
+        return np.round(value, 2).tolist() if isinstance(value, np.ndarray) else value
+
+    fields = asdict(truth, dict_factory=lambda items: {name: plain(value) for name, value in items})
+    return {"image_topic": _TOPICS[truth.options.schema].image, **fields}
+
+
+def _write_image(
+    author: Author, topic: str, frame: FrameTruth, image: np.ndarray[Any, np.dtype[np.uint8]]
+) -> None:
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+    author.write_image(topic, frame.log_time_ns, "camera", data, "jpeg", stamp_ns=frame.stamp_ns)
+
+
+def _write_calibration(author: Author, topic: str, frame: FrameTruth, camera: Camera) -> None:
+    height, width = camera.image_size
+    author.write_calibration(
+        topic,
+        frame.log_time_ns,
+        "camera",
+        image_size=camera.image_size,
+        focal_px=(camera.focal_px, camera.focal_px),
+        centre_px=(width / 2, height / 2),
+    )
+
+
+def _write_location(author: Author, topic: str, plan: FlightPlan, time_ns: int) -> None:
+    latitude_deg, longitude_deg, altitude_m = to_geodetic(plan, np.array(plan.pose(time_ns).position))
+    author.write_location(
+        topic,
+        START_NS + time_ns,
+        "drone",
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        altitude_m=altitude_m,
+    )
+
+
+def _write_attitudes(author: Author, topics: _Topics, plan: FlightPlan, time_ns: int) -> None:
+    pose = plan.pose(time_ns)
+    vehicle = YawPitchRoll(compass_deg(plan, pose.heading_rad), 0.0, 0.0)
+    camera = YawPitchRoll(compass_deg(plan, pose.yaw_rad), -float(np.rad2deg(pose.pitch_rad)), 0.0)
+    x, y, above_m = pose.position
+    place_m = (*to_east_north(plan, x, y), above_m)
+    for topic, child, turns in (
+        (topics.vehicle, "base_link", vehicle),
+        (topics.camera, "camera_link", camera),
+    ):
+        author.write_attitude(topic, START_NS + time_ns, "map", child, to_enu(turns), translation_m=place_m)

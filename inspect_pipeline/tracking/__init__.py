@@ -1,0 +1,1 @@
+"""Lines followed over the frames of a camera."""

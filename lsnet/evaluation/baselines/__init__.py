@@ -1,0 +1,1 @@
+"""Line detectors of others, behind the interface of `Detector`."""

@@ -1,0 +1,1 @@
+"""Short trainings of several networks on the same drawn images."""

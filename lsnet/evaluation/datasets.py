@@ -1,0 +1,142 @@
+"""Evaluation sets on disk, told apart by what lies in them.
+
+ID.jpg + ID.boundary.png    contours of each cable, one pixel wide (the PLDU and PLDM sets)
+images/ + masks/            a mask of the cables for each image
+anything else               images without lines, or with some line: only whether one is reported counts
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import cv2
+import numpy as np
+
+from lsnet.errors import LSNetError
+from lsnet.evaluation.metrics import PixelTruth
+from lsnet.synth.backgrounds import SUFFIXES, load_rgb
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Kind = Literal["contours", "masks", "plain"]
+
+MAX_CABLE_RADIUS_PX = 14  # a wider region between two contours is ground, not cable
+MIN_REGION_PX = 12
+
+
+def images_of(folder: Path) -> tuple[Kind, list[Path]]:
+    """What kind of set a folder holds, and its images by name. Raises LSNetError for an empty one."""
+    kind: Kind = "plain"
+    if (folder / "masks").is_dir():
+        kind, where = "masks", folder / "images"
+    else:
+        where = folder
+        if any(folder.glob("*.boundary.png")):
+            kind = "contours"
+    files = sorted(f for f in where.glob("*") if f.suffix.lower() in SUFFIXES and ".boundary" not in f.name)
+    if not files:
+        raise LSNetError(f"{folder}: no images to evaluate; give a folder of images")
+    return kind, files
+
+
+def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTruth:
+    """The truth of one image, of (height, width), of a set with pixel truth.
+
+    Raises LSNetError when its file is missing or of another size.
+    """
+    if kind == "contours":
+        path = image.with_name(f"{image.stem}.boundary.png")
+    else:
+        path = image.parent.parent / "masks" / f"{image.stem}.png"
+    try:
+        drawn = np.asarray(load_rgb(path).max(axis=2) > 0)
+    except LSNetError as err:
+        raise LSNetError(f"{path}: missing or not an image; every image of the set needs its truth") from err
+    if drawn.shape != image_size:
+        raise LSNetError(f"{path}: not of the size of its image; give a truth as large as {image.name}")
+    return _from_contours(drawn) if kind == "contours" else _from_mask(drawn)
+
+
+def _skeleton(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    try:
+        from skimage.morphology import skeletonize  # noqa: PLC0415 -- an extra
+    except ImportError as err:
+        raise LSNetError("scikit-image is not installed; pip install 'lsnet-pipe[eval]'") from err
+    return np.asarray(skeletonize(mask), np.bool_)  # type: ignore[no-untyped-call]
+
+
+def _from_mask(mask: NDArray[np.bool_]) -> PixelTruth:
+    half = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    return PixelTruth(mask, _skeleton(mask), np.asarray(half, np.float32))
+
+
+def _from_contours(contours: NDArray[np.bool_]) -> PixelTruth:
+    """Cables between their contours; the skeleton's side twigs, where it is thin for its place, are cut."""
+    mask = cable_mask(contours)
+    centreline = _skeleton(np.pad(mask, 8, mode="edge"))[8:-8, 8:-8]
+    half = cv2.distanceTransform(np.pad(mask, 1, mode="edge").astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    widest_near = cv2.dilate(half, np.ones((9, 9)))
+    return PixelTruth(mask, centreline & (half >= 0.6 * widest_near), np.asarray(half, np.float32))
+
+
+def cable_mask(contours: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W) filled cables from their contours.
+
+    The contours cut the image into regions. Walking outwards from the widest, which is ground, neighbours
+    across a contour alternate: ground, cable, ground. Contours that bound no cable region are closed up.
+    """
+    edges = contours.astype(np.uint8)
+    count, labels = cv2.connectedComponents(1 - edges, connectivity=4)
+    regions = np.asarray(labels, np.int32)
+    sizes = np.bincount(regions.ravel(), minlength=count)
+    kept = [k for k in range(1, count) if sizes[k] >= MIN_REGION_PX]
+    if not kept:
+        return np.asarray(cv2.morphologyEx(edges, cv2.MORPH_CLOSE, np.ones((7, 7))) > 0)
+    is_cable = _two_colour(edges, regions, sizes, kept)
+    mask = np.isin(regions, [k for k in kept if is_cable[k]])
+    if mask.any():
+        mask |= contours & _grown(mask)
+    rest = (contours & ~_grown(mask)).astype(np.uint8)
+    round_brush = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+    return np.asarray(mask | (cv2.morphologyEx(rest, cv2.MORPH_CLOSE, round_brush) > 0))
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask with all within two pixels of it."""
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0)
+
+
+def _two_colour(
+    edges: NDArray[np.uint8], regions: NDArray[np.int32], sizes: NDArray[np.int64], kept: list[int]
+) -> dict[int, bool]:
+    """Which of the kept regions are cable."""
+    depth = cv2.distanceTransform(1 - edges, cv2.DIST_L2, 5)
+    radius = {k: float(depth[regions == k].max()) for k in kept}
+    neighbours = _neighbours(regions, kept)
+    is_cable: dict[int, bool] = {}
+    for seed in sorted(kept, key=lambda k: -radius[k]):
+        if seed in is_cable:
+            continue
+        is_cable[seed] = False
+        queue = [seed]
+        while queue:
+            here = queue.pop(0)
+            for there in sorted(neighbours[here], key=lambda k: -sizes[k]):
+                if there not in is_cable:
+                    is_cable[there] = radius[there] <= MAX_CABLE_RADIUS_PX and not is_cable[here]
+                    queue.append(there)
+    return is_cable
+
+
+def _neighbours(regions: NDArray[np.int32], kept: list[int]) -> dict[int, set[int]]:
+    """Regions that face each other across a contour along more than 8 pixels."""
+    found: dict[int, set[int]] = {k: set() for k in kept}
+    for k in kept:
+        for other, shared in zip(*np.unique(regions[_grown(regions == k)], return_counts=True), strict=True):
+            if other != k and other in found and shared > 8:
+                found[k].add(int(other))
+                found[int(other)].add(k)
+    return found

@@ -1,0 +1,93 @@
+"""How many frames a second a detector handles, from uint8 pixels to segments and lines."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from lsnet.detector import Detector
+from lsnet.evaluation.datasets import images_of
+from lsnet.synth.backgrounds import BackgroundPool, load_rgb
+from lsnet.synth.dataset import SyntheticScenes
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from lsnet.runtime import Backend
+
+COUNT = 16  # different images, so that no cache holds them all
+BATCH = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """The fields of `model bench --json`."""
+
+    frames_per_s: float
+    backend: str
+    precision: str
+    threads: int
+    preset: str
+    size: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.frames_per_s:.1f} frames/s at {self.size}x{self.size}: "
+            f"preset {self.preset}, {self.backend} {self.precision}, {self.threads} threads"
+        )
+
+
+def measure_speed(weights: str | Path, runtime: str, size: int, folder: Path | None, seconds: float) -> Speed:
+    """Frames a second over `seconds`, after a warm-up. Raises LSNetError."""
+    detector = Detector.load(weights, runtime=runtime, scale=1.0)
+    images = _squares(folder, size)
+    detector.detect(images[:BATCH])
+    done, started = 0, time.perf_counter()
+    while (elapsed := time.perf_counter() - started) < seconds:
+        first = done % COUNT
+        detector.detect(images[first : first + BATCH])
+        done += BATCH
+    used = detector.describe()
+    return Speed(
+        frames_per_s=round(done / elapsed, 2),
+        backend=str(used["backend"]),
+        precision=str(used["precision"]),
+        threads=detector.threads,
+        preset=str(used["preset"]),
+        size=size,
+    )
+
+
+def least_cpu_ms(backend: Backend, size: int = 512, repeats: int = 40) -> float:
+    """Least CPU time of one frame of `repeats`, milliseconds: what else runs on the machine hardly counts."""
+    image = [SyntheticScenes(BackgroundPool([]), size)[0].image]
+    backend.run(image)
+    times = []
+    for _ in range(repeats):
+        started = time.process_time_ns()
+        backend.run(image)
+        times.append(time.process_time_ns() - started)
+    return min(times) / 1e6
+
+
+def _squares(folder: Path | None, size: int) -> list[NDArray[np.uint8]]:
+    """COUNT square images: photographs enlarged until they cover the square and cut, or drawn scenes."""
+    if folder is None:
+        scenes = SyntheticScenes(BackgroundPool([]), size)
+        return [scenes[i].image for i in range(COUNT)]
+    files = images_of(folder)[1]
+    return [_square(load_rgb(files[i % len(files)]), size) for i in range(COUNT)]
+
+
+def _square(photo: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+    factor = max(1.0, size / min(photo.shape[:2]))
+    if factor > 1:
+        photo = np.asarray(cv2.resize(photo, None, fx=factor, fy=factor), np.uint8)
+    y, x = (photo.shape[0] - size) // 2, (photo.shape[1] - size) // 2
+    return np.ascontiguousarray(photo[y : y + size, x : x + size])

@@ -1,1 +1,0 @@
-"""Line detectors of others, behind the interface of ours, so that the same scores can be told of them."""

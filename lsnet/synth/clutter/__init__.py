@@ -1,0 +1,1 @@
+"""Drawn clutter: what is mistaken for cables and is none."""

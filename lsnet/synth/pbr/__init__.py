@@ -1,0 +1,1 @@
+"""Physically based renders of conductors with Mitsuba 3 (extra `synth`)."""

@@ -1,0 +1,293 @@
+"""Training on the CPU (Section III-D): drawn images without end, or one's own, to a checkpoint folder.
+
+A run folder holds `last.pt` (everything needed to go on), `best.pt` (the averaged weights with the least
+validation loss) and `log.jsonl`. A killed run goes on from `last.pt` and sees the samples it would have seen.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Dataset
+
+from lsnet.errors import LSNetError
+from lsnet.files import make_folder
+from lsnet.grid import GridCoder
+from lsnet.losses import Losses, MultiTaskLoss
+from lsnet.model import PRESETS, LSNet, LSNetConfig
+from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint, save_checkpoint
+from lsnet.training.pruning import slim
+from lsnet.weights import load_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from torch import Tensor
+
+    from lsnet.synth.dataset import SampleSource
+
+    Batch = tuple[Tensor, Tensor, Tensor]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainConfig:
+    """The recipe of one run."""
+
+    preset: str = "fast"
+    steps: int = 10_000
+    batch_size: int = 8
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.01
+    warmup_steps: int = 200
+    ema_decay: float = 0.998  # of the averaged weights, which are the ones kept
+    validate_every: int = 500
+    validation_images: int = 256
+    patience: int = 12  # validations without a better one before the run stops
+    threads: int = 1
+    workers: int = 1
+    data: str = ""  # what is trained on, in words
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What is reported while training: mean losses since the last report."""
+
+    step: int
+    steps: int
+    loss: float
+    classification: float
+    regression: float
+    images_per_s: float
+    validation_loss: float | None = None
+
+
+class _Encoded(Dataset["Batch"]):
+    """Samples as tensors: image (3, H, W) uint8, labels (R, C), endpoints (R, C, 4)."""
+
+    def __init__(self, samples: SampleSource, coder: GridCoder) -> None:
+        self._samples, self._coder = samples, coder
+
+    def __getitem__(self, index: int) -> Batch:
+        sample = self._samples[index]
+        targets = self._coder.encode(sample.lines, (self._samples.size, self._samples.size))
+        image = torch.from_numpy(np.ascontiguousarray(sample.image.transpose(2, 0, 1)))
+        return image, torch.from_numpy(targets.labels), torch.from_numpy(targets.endpoints)
+
+
+def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterator[Batch]:
+    """Batches of the samples of `indices`, in order, encoded in worker processes.
+
+    Raises LSNetError for a sample that cannot be read.
+    """
+    batches = DataLoader(
+        _Encoded(samples, GridCoder()),
+        batch_size=config.batch_size,
+        sampler=indices,
+        num_workers=config.workers,
+        prefetch_factor=6 if config.workers else None,
+        worker_init_fn=_single_threaded,
+    )
+    try:
+        yield from batches
+    except LSNetError as err:  # from a worker it comes with a traceback, the message last
+        raise LSNetError(str(err).rstrip().rpartition("LSNetError: ")[2]) from err
+
+
+def _single_threaded(_worker: int) -> None:
+    import cv2  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
+def learning_rate_at(step: int, config: TrainConfig) -> float:
+    """Linear warm-up, then a cosine down to a hundredth."""
+    if step < config.warmup_steps:
+        return config.learning_rate * (step + 1) / config.warmup_steps
+    t = (step - config.warmup_steps) / max(1, config.steps - config.warmup_steps)
+    return config.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(t, 1.0))))
+
+
+class Trainer:
+    """One run: the network, its average, the optimizer, and how far they have come."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        run_dir: Path,
+        *,
+        seed: int = 0,
+        start: str | Path | None = None,
+        network: LSNetConfig | None = None,
+        loss: MultiTaskLoss | None = None,
+    ) -> None:
+        """Start a run or go on with it.
+
+        start: weights to begin with, the `best.pt` of another run or what `load_weights` takes; a narrower
+        network takes the channels of those that matter most. network, loss: another one than the preset's
+        and the usual one, to compare them.
+        Raises LSNetError when the folder holds a run of another recipe, or the network does not fit.
+        """
+        torch.manual_seed(seed)
+        torch.set_num_threads(config.threads)
+        self.config, self.run_dir = config, run_dir
+        network = network or PRESETS[config.preset]
+        self.net = LSNet(network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.average = LSNet(network).eval()
+        self.optimizer = torch.optim.AdamW(
+            self.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.loss = loss or MultiTaskLoss()
+        self.step, self.best_loss, self.bad_validations = 0, math.inf, 0
+        make_folder(run_dir)
+        if (run_dir / "last.pt").exists():
+            self._restore()
+        elif start:
+            self._begin_with(start)
+        if self.step == 0:
+            self.average.load_state_dict(self.net.state_dict())
+
+    def run(
+        self, samples: SampleSource, validation: SampleSource, report: Callable[[Progress], None]
+    ) -> None:
+        """Train to the last step or until validation stops improving; `report` is called now and then.
+
+        Raises LSNetError when the loss grows beyond all bounds or a checkpoint cannot be written.
+        """
+        config = self.config
+        if self.step >= config.steps or self.bad_validations >= config.patience:
+            return
+        validation_batches = list(loader(validation, range(config.validation_images), config))
+        batches = loader(
+            samples, range(self.step * config.batch_size, config.steps * config.batch_size), config
+        )
+        for progress in self._epoch(batches):
+            if not self._is_validation_due():
+                report(progress)
+                continue
+            loss = self.validate(validation_batches)
+            if not math.isfinite(loss):
+                raise LSNetError(f"{self.run_dir}: the loss grew beyond all bounds; lower --learning-rate")
+            report(replace(progress, validation_loss=loss))
+            self._log(replace(progress, validation_loss=loss))
+            self._keep(loss)
+            if self.bad_validations >= config.patience:
+                return
+
+    def validate(self, batches: list[Batch]) -> float:
+        """Mean loss of the averaged network."""
+        with torch.no_grad():
+            losses = [float(self._losses(self.average, batch).total) for batch in batches]
+        return sum(losses) / len(losses)
+
+    def _epoch(self, batches: Iterator[Batch]) -> Iterator[Progress]:
+        """Step through the batches, reporting every 50 steps and before each validation."""
+        totals, count, clock = np.zeros(3), 0, time.monotonic()
+        for batch in batches:
+            losses = self._train_step(batch)
+            totals += [float(part.detach()) for part in losses]
+            count += 1
+            if self.step % 50 and not self._is_validation_due():
+                continue
+            rate = count * self.config.batch_size / (time.monotonic() - clock)
+            mean = totals / count
+            yield Progress(self.step, self.config.steps, mean[0], mean[1], mean[2], rate)
+            totals, count, clock = np.zeros(3), 0, time.monotonic()
+
+    def _is_validation_due(self) -> bool:
+        return self.step % self.config.validate_every == 0 or self.step == self.config.steps
+
+    def _train_step(self, batch: Batch) -> Losses:
+        self.net.train()
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate_at(self.step, self.config)
+        losses = self._losses(self.net, batch)
+        self.optimizer.zero_grad(set_to_none=True)
+        losses.total.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
+        self.optimizer.step()
+        self.step += 1
+        self._update_average()
+        return losses
+
+    def _losses(self, net: LSNet, batch: Batch) -> Losses:
+        images, labels, endpoints = batch
+        pixels = images.to(memory_format=torch.channels_last).float().div_(255)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            output = net(pixels)
+        return self.loss(output, labels, endpoints)
+
+    def _update_average(self) -> None:
+        """Exponential moving average; young runs forget faster."""
+        decay = min(self.config.ema_decay, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            now = self.net.state_dict()
+            for name, kept in self.average.state_dict().items():
+                if kept.is_floating_point():
+                    kept.lerp_(now[name].to(kept.dtype), 1 - decay)
+                else:
+                    kept.copy_(now[name])
+
+    def _keep(self, loss: float) -> None:
+        if loss < self.best_loss:
+            self.best_loss, self.bad_validations = loss, 0
+            best = {"average": self.average.state_dict(), "step": self.step}
+            save_checkpoint(best, self.run_dir / "best.pt")
+        else:
+            self.bad_validations += 1
+        save_checkpoint(self._state(), self.run_dir / "last.pt")
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "recipe": self._recipe(),
+            "net": self.net.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+            "best_loss": self.best_loss,
+            "bad_validations": self.bad_validations,
+        }
+
+    def _recipe(self) -> dict[str, Any]:
+        return asdict(self.config) | {"network": asdict(self.net.config)}
+
+    def _begin_with(self, start: str | Path) -> None:
+        try:
+            if Path(start).suffix == ".pt":
+                state = load_checkpoint(Path(start))["average"]
+            else:
+                state = slim(load_weights(start).net, self.net.config).state_dict()
+            self.net.load_state_dict(state)
+        except (RuntimeError, ValueError) as err:
+            raise LSNetError(
+                f"{start}: not weights of a {self.config.preset} network or a wider one; give some of those"
+            ) from err
+
+    def _restore(self) -> None:
+        path = self.run_dir / "last.pt"
+        state = load_checkpoint(path, LAST_KEYS)
+        ours = self._recipe()
+        changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
+        if changed:
+            raise LSNetError(
+                f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another --run folder"
+            )
+        try:
+            self.net.load_state_dict(state["net"])
+            self.average.load_state_dict(state["average"])
+            self.optimizer.load_state_dict(state["optimizer"])
+        except (LookupError, RuntimeError, ValueError) as err:
+            raise LSNetError(f"{path}: damaged or of another version; give another --run folder") from err
+        self.step, self.best_loss = state["step"], state["best_loss"]
+        self.bad_validations = state["bad_validations"]
+
+    def _log(self, progress: Progress) -> None:
+        with (self.run_dir / "log.jsonl").open("a") as log:
+            log.write(json.dumps(asdict(progress)) + "\n")

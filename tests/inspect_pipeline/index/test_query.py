@@ -1,0 +1,360 @@
+"""Queries: one reading statement, in every format, and nothing else, however it is put."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import flights
+import pytest
+import typer
+from inline_queries import answer_here
+from typer.testing import CliRunner
+
+from inspect_pipeline.commands import index as index_command
+from inspect_pipeline.commands.query import query
+from inspect_pipeline.errors import QueryError, StoreError, StoreVersionError
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.index import query_child
+from inspect_pipeline.index.query import QueryLimits, run_query
+from inspect_pipeline.resources import MIGRATIONS
+from inspect_pipeline.store.store import Store
+
+app = typer.Typer()
+app.command()(query)
+app.add_typer(index_command.app, name="index")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    store = Store(tmp_path_factory.mktemp("store"))
+    flights.write_flight(store, "a", 4)
+    index.publish(store)
+    return store
+
+
+@pytest.fixture
+def ask(ask_child: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The same as `ask_child` in this process."""
+    answer_here(monkeypatch)
+    return ask_child
+
+
+@pytest.fixture
+def ask_child(store: Store, tmp_path: Path) -> Any:
+    """Runs a statement and returns what was written."""
+
+    def run(sql: str, form: str = "json", **options: Any) -> str:
+        output = tmp_path / "rows"
+        run_query(store.index_path, sql, format=form, output=output, **options)
+        assert [path.name for path in tmp_path.iterdir()] == ["rows"]
+        return output.read_text()
+
+    return run
+
+
+def test_json_is_an_array_of_objects(ask: Any) -> None:
+    names = ["frame_idx", "status", "reason", "infer_ms", "log_time_utc"]
+    assert json.loads(ask(f"SELECT {', '.join(names)} FROM frames WHERE frame_idx < 2 ORDER BY 1")) == [
+        dict(zip(names, row, strict=True))
+        for row in (
+            (0, "ok", None, 2.0, "2023-11-14T22:13:20.123456"),
+            (1, "bad", "corrupt JPEG", None, "2023-11-14T22:13:20.223456"),
+        )
+    ]
+    assert json.loads(ask("SELECT 1 AS x WHERE false")) == []
+
+
+VALUES = {
+    "'NaN'::DOUBLE": None,
+    "'-inf'::FLOAT": None,
+    "[1.5, 'nan'::FLOAT, NULL]": [1.5, None, None],
+    "{'a': {'b': 'inf'::DOUBLE, 'c': 'NaN'}}": {"a": {"b": None, "c": "NaN"}},
+    "'NaN'": "NaN",
+    "12345678901234567890123::HUGEINT": 12345678901234567890123,
+    "1.10::DECIMAL(20, 2)": 1.1,
+    "DATE '2026-01-02'": "2026-01-02",
+    "TIMESTAMP_NS '2026-01-02 03:04:05.123456789'": "2026-01-02T03:04:05.123456789",
+    "TIMESTAMPTZ '2026-01-02 03:04:05+02'": "2026-01-02T01:04:05Z",
+    "INTERVAL 90 SECOND": "00:01:30",
+    "MAP {'k': 1}": {"k": 1},
+    "'ü \"\n\x1b[31m'": 'ü "\n\x1b[31m',
+    "NULL": None,
+    "true": True,
+}
+
+
+def test_values_in_json(ask_child: Any) -> None:
+    text = ask_child("SELECT " + ", ".join(f"{sql} AS c{i}" for i, sql in enumerate(VALUES)))
+    (row,) = json.loads(text, parse_constant=pytest.fail)
+    assert list(row.values()) == list(VALUES.values())
+
+
+def test_csv(ask_child: Any) -> None:
+    text = ask_child("SELECT 'a,\"b\"\nc' AS x, NULL AS y, 1.5 AS z, points FROM lines LIMIT 1", "csv")
+    rows = list(csv.reader(io.StringIO(text)))
+    assert rows[0] == ["x", "y", "z", "points"]
+    assert rows[1][:3] == ['a,"b"\nc', "", "1.5"]
+    assert ask_child("SELECT 1 AS x, 2 AS y WHERE false", "csv") == "x,y\n"
+    assert ask_child("EXPLAIN SELECT 1", "csv").startswith("explain_key,explain_value\nphysical_plan,")
+
+
+def test_table(ask_child: Any) -> None:
+    text = ask_child(
+        "SELECT 'a\x1b[31m\nb' AS name, NULL AS x, 12 AS number UNION ALL SELECT 'c', 3, 4", "table"
+    )
+    assert text.splitlines() == [
+        "name          x  number",
+        "---------  ----  ------",
+        "a\\x1b[31m  NULL      12",
+        "b",
+        "c             3       4",
+        "(2 rows)",
+    ]
+
+
+def test_a_long_table_is_cut_and_says_so(ask: Any) -> None:
+    text = ask("FROM range(100000)", "table", limits=QueryLimits(max_rows=10))
+    assert text.count("\n") == 13
+    assert text.endswith("(the first 10 rows; all with --format csv)\n")
+
+
+def test_order_and_number_of_many_rows(ask: Any) -> None:
+    rows = json.loads(ask("SELECT 50000 - range AS n FROM range(50000) ORDER BY n"))
+    assert [row["n"] for row in rows] == list(range(1, 50001))
+
+
+def test_columns_of_the_same_name_are_kept_apart(ask: Any) -> None:
+    assert json.loads(ask("SELECT 1 AS a, 2 AS a")) == [{"a": 1, "a_1": 2}]
+
+
+def test_parquet(store: Store, tmp_path: Path) -> None:
+    output = tmp_path / "it's.parquet"
+    run_query(store.index_path, "FROM segments;", format="parquet", output=output)
+    assert duckdb.read_parquet(str(output)).count("*").fetchall() == [(5,)]
+    assert list(tmp_path.iterdir()) == [output]
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "FROM frames",
+        "WITH t AS (SELECT 1) FROM t; -- the end",
+        "DESCRIBE frames",
+        "SHOW TABLES",
+        "SUMMARIZE segments",
+        "EXPLAIN SELECT count(*) FROM frames",
+        "EXPLAIN ANALYZE FROM frames;",
+        "FROM flight_summary",
+    ],
+)
+def test_reading_statements(ask: Any, sql: str) -> None:
+    assert ask(sql, "table").endswith(" rows)\n")
+
+
+WRITING = [
+    "COPY frames TO '/tmp/lsnet-pipe-test.csv'",
+    "EXPLAIN COPY frames TO '/tmp/lsnet-pipe-test.csv'",
+    "EXPLAIN ANALYZE COPY frames TO '/tmp/lsnet-pipe-test.csv'",
+    "/**/ EXPLAIN ANALYZE COPY frames TO '/tmp/lsnet-pipe-test.csv'",
+    "EXPLAIN/**/ANALYZE COPY frames TO '/tmp/lsnet-pipe-test.csv'",
+    "EXPORT DATABASE '/tmp/lsnet-pipe-test'",
+    "ATTACH '/tmp/lsnet-pipe-test.duckdb'",
+    "WITH t AS (DELETE FROM frames RETURNING *) SELECT * FROM t",
+    "FROM query('DROP TABLE frames')",
+    "DROP TABLE frames",
+    "PRAGMA table_info('frames')",
+    "SET memory_limit = '10GB'",
+]
+REFUSED = [
+    "",
+    "-- nothing",
+    "DROP TABLE frames",
+    "CREATE TABLE t AS SELECT 1",
+    "CREATE TEMP TABLE t AS SELECT 1",
+    "INSERT INTO models SELECT * FROM models",
+    "UPDATE frames SET status = 'ok'",
+    "DELETE FROM frames",
+    "SELECT 1; DROP TABLE frames",
+    "SELECT 1; SELECT 2",
+    "SET memory_limit = '10GB'",
+    "RESET memory_limit",
+    "INSTALL httpfs",
+    "LOAD httpfs",
+    "CALL duckdb_settings()",
+    "CHECKPOINT",
+    "VACUUM",
+    "BEGIN",
+    "PREPARE p AS SELECT 1",
+    "CREATE SECRET (TYPE s3)",
+]
+
+
+@pytest.mark.parametrize("sql", REFUSED)
+def test_statements_are_judged_before_they_run(sql: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(kind: str, message: str) -> None:
+        raise AssertionError(f"{kind}: {message}")
+
+    monkeypatch.setattr(query_child, "fail", fail)
+    with pytest.raises(AssertionError, match=r"query: one SELECT, WITH, .* is allowed, not "):
+        query_child.check_statement(sql)
+
+
+OUT_OF_REACH = [
+    "SELECT * FROM read_text('/etc/hostname')",
+    "SELECT * FROM read_csv('/etc/hostname')",
+    "SELECT * FROM '/etc/hostname.csv'",
+    "SELECT * FROM glob('/etc/*')",
+    "SELECT * FROM read_json('https://example.com/x.json')",
+    "SELECT * FROM duckdb_secrets()",
+    "SELECT getenv('HOME')",
+    "SELECT * FROM job",
+]
+
+
+REFUSALS = [(sql, True) for sql in WRITING] + [(sql, False) for sql in (WRITING[0], *OUT_OF_REACH)]
+
+
+def test_refused_statements(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By what the statements are and by how the index is opened, without the limits of the child."""
+    answer_here(monkeypatch)
+    before = store.index_path.read_bytes()
+    for sql, allow_files in REFUSALS:
+        with pytest.raises((QueryError, duckdb.Error)):
+            run_query(store.index_path, sql, output=tmp_path / "rows", allow_files=allow_files)
+    assert not list(tmp_path.iterdir())
+    assert not list(Path("/tmp").glob("lsnet-pipe-test*"))  # noqa: S108
+    assert store.index_path.read_bytes() == before
+
+
+@pytest.mark.parametrize(("sql", "allow_files"), [REFUSALS[0], REFUSALS[3], REFUSALS[-5]])
+def test_refusals_of_the_child_are_one_line(ask_child: Any, sql: str, allow_files: bool) -> None:
+    with pytest.raises(QueryError) as caught:
+        ask_child(sql, allow_files=allow_files)
+    assert not any(text in str(caught.value) for text in ("\n", "stopped", "memory"))
+
+
+def test_files_on_demand(ask_child: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
+    spans = tmp_path_factory.mktemp("files") / "spans.csv"
+    spans.write_text("span,length_m\nA,80\n")
+    assert json.loads(ask_child(f"FROM read_csv('{spans}')", allow_files=True)) == [
+        {"span": "A", "length_m": 80}
+    ]
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT length(repeat('x', 2000000000))",
+        "SELECT list(range) FROM range(1000000000)",
+        "SELECT count(*) FROM range(100000000) a, range(100000000) b WHERE sqrt(a.range * b.range) = 3",
+        "WITH RECURSIVE t(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM t) SELECT count(*) FROM t",
+    ],
+)
+def test_bombs_are_stopped(ask_child: Any, sql: str) -> None:
+    start = time.monotonic()
+    with pytest.raises(QueryError, match=r"stopped after 0\.5 s|more than 128 MiB of memory"):
+        ask_child(sql, limits=QueryLimits(timeout_s=0.5, memory_bytes=128 << 20))
+    assert time.monotonic() - start < 3
+
+
+def test_a_large_output_is_stopped_in_time(store: Store, tmp_path: Path) -> None:
+    with pytest.raises(QueryError, match="stopped"):
+        run_query(
+            store.index_path,
+            "SELECT * FROM range(10000000000)",
+            format="csv",
+            output=tmp_path / "rows.csv",
+            limits=QueryLimits(timeout_s=0.5),
+        )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("sql", "words"),
+    [
+        ("SELECT n_segment FROM frames", 'column "n_segment" not found.*"n_segments"'),
+        ("FROM frame", 'frame does not exist.*Did you mean "frames".*SHOW TABLES'),
+        ("SELEC 1", "syntax error"),
+        ("SELECT 'x'::INTEGER", "Could not convert string 'x' to INT32"),
+    ],
+)
+def test_errors_are_one_line_with_a_hint(ask_child: Any, sql: str, words: str) -> None:
+    with pytest.raises(QueryError, match=words) as caught:
+        ask_child(sql)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_index_yet(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="run lsnet-pipe process first"):
+        run_query(tmp_path / "index.duckdb", "SELECT 1")
+
+
+def test_corrupt_and_newer_index(tmp_path: Path) -> None:
+    path = tmp_path / "index.duckdb"
+    path.write_bytes(b"not a database" * 1000)
+    with pytest.raises(StoreError, match="index rebuild"):
+        run_query(path, "SELECT 1")
+    path.unlink()
+    with duckdb.connect(path) as connection:
+        connection.execute(f"CREATE TABLE schema_version AS SELECT {len(MIGRATIONS) + 1} AS version")
+    with pytest.raises(StoreVersionError, match="upgrade"):
+        run_query(path, "SELECT 1")
+
+
+def test_an_output_that_cannot_be_written(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer_here(monkeypatch)
+    for output in (tmp_path / "missing" / "rows", tmp_path):
+        with pytest.raises(QueryError, match="give another file with --output"):
+            run_query(store.index_path, "SELECT 1", output=output)
+
+
+def test_command(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer_here(monkeypatch)
+    runner = CliRunner()
+    arguments = ["query", "SELECT count(*) AS n FROM frames", "--store", str(store.root)]
+    assert json.loads(runner.invoke(app, [*arguments, "--format", "json"]).stdout) == [{"n": 4}]
+    assert runner.invoke(app, [*arguments, "--format", "csv"]).stdout == "n\n4\n"
+    assert "(1 rows)" in runner.invoke(app, arguments).stdout
+    output = tmp_path / "n.parquet"
+    assert runner.invoke(app, [*arguments, "--format", "parquet", "-o", str(output)]).exit_code == 0
+    assert duckdb.read_parquet(str(output)).fetchall() == [(4,)]
+    parquet = runner.invoke(app, [*arguments, "--format", "parquet"]).stdout_bytes
+    assert parquet == output.read_bytes()
+    assert runner.invoke(app, [*arguments, "--format", "xml"]).exit_code == 2
+    refused = runner.invoke(app, ["query", "DROP TABLE frames", "--store", str(store.root)])
+    assert isinstance(refused.exception, QueryError)
+
+
+def test_index_commands(tmp_path: Path) -> None:
+    runner = CliRunner()
+    store = Store(tmp_path)
+    flight_id = flights.write_flight(store, "a", 3)
+    assert runner.invoke(app, ["index", "verify", "--store", str(tmp_path)]).exit_code == 1
+    assert runner.invoke(app, ["index", "rebuild", "--store", str(tmp_path)]).stdout == "1 flights\n"
+    assert runner.invoke(app, ["index", "verify", "--store", str(tmp_path)]).exit_code == 0
+    (store.flight_dir(flight_id) / "lines.parquet").unlink()
+    rebuilt = runner.invoke(app, ["index", "rebuild", "--store", str(tmp_path)])
+    assert (rebuilt.exit_code, rebuilt.stdout) == (1, "0 flights\n")
+    assert "process its recording again" in rebuilt.stderr
+
+
+def test_a_reader_that_goes_away(store: Store) -> None:
+    code = "import typer; from inspect_pipeline.commands.query import query; typer.run(query)"
+    arguments = ["FROM range(10000000)", "--format", "csv", "--store", str(store.root)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=pipe, stderr=pipe) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == b"range\n"
+        process.stdout.close()
+        assert process.stderr.read() == b""

@@ -1,0 +1,92 @@
+"""Stores of older versions are brought up to this one without loss; those of newer versions are refused."""
+
+from __future__ import annotations
+
+import hashlib
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pytest
+from flights import versions, versions_in_index
+from stores import contents
+
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.flight_tables import ROW_TABLES, create_tables
+from inspect_pipeline.resources import MIGRATIONS, read_schema
+from inspect_pipeline.store.records import RESULT_VERSION
+from inspect_pipeline.store.store import Store
+
+# A store of two flights, written when there was one migration.
+OLD_STORE = Path(__file__).parents[2] / "data" / "store_0001.tar.xz"
+FROZEN = {
+    "0001_initial.sql": "7ba22d02444e30537412d1dad4fa9d5582964940b8dee8e82283a623ecae93b2",
+    "0002_runs.sql": "6b5ec3101f5b27767ca9d049d6eb1ca551845a82fedbfa81c11c5606f20ea346",
+    "0003_inspection.sql": "7dedd9545054d0d4b0da66bf0def4ddeeaa981403c44e7eb34f89a0e26788395",
+}
+RESULT_COLUMNS = (2, "6541b97fa533c9ffcca1c4a92d6c8d0813e2c0fb9d0ec1155012cd010f98ddb1")
+
+
+@pytest.fixture
+def old_store(tmp_path: Path) -> Store:
+    with tarfile.open(OLD_STORE) as archive:
+        archive.extractall(tmp_path / "store", filter="data")
+    return Store(tmp_path / "store")
+
+
+def rows(store: Store, tables: dict[str, str]) -> dict[str, list[tuple[Any, ...]]]:
+    """The given columns of tables."""
+    with duckdb.connect(store.index_path, read_only=True) as connection:
+        return {
+            table: connection.execute(f"SELECT {columns} FROM {table} ORDER BY ALL").fetchall()
+            for table, columns in tables.items()
+        }
+
+
+def columns(store: Store) -> dict[str, str]:
+    with duckdb.connect(store.index_path, read_only=True) as connection:
+        listed = connection.execute(
+            "SELECT table_name, string_agg(column_name, ', ' ORDER BY column_index) FROM duckdb_columns()"
+            " JOIN duckdb_tables() USING (table_name) WHERE table_name <> 'schema_version' GROUP BY ALL"
+        ).fetchall()
+    return dict(listed)
+
+
+def test_released_migrations_never_change() -> None:
+    assert list(FROZEN) == list(MIGRATIONS[: len(FROZEN)])
+    for name, digest in FROZEN.items():
+        assert hashlib.sha256(read_schema(name).encode()).hexdigest() == digest, name
+
+
+def test_other_columns_of_a_flight_are_another_result_version() -> None:
+    """A new column is NULL in flights of before; only with another version is the inbox processed again."""
+    with duckdb.connect(":memory:") as connection:
+        create_tables(connection)
+        columns_of_rows = connection.execute(
+            "SELECT table_name, column_name, data_type FROM duckdb_columns()"
+            " WHERE table_name IN (SELECT unnest(?)) ORDER BY ALL",
+            [ROW_TABLES],
+        ).fetchall()
+    digest = hashlib.sha256(str(columns_of_rows).encode()).hexdigest()
+    assert (RESULT_VERSION, digest) == RESULT_COLUMNS
+
+
+def test_an_old_store_is_brought_up_without_loss(old_store: Store) -> None:
+    old_columns = columns(old_store)
+    before = rows(old_store, old_columns)
+    assert set(before) >= {"flights", "runs", "models", "channels", "frames", "segments", "lines"}
+    assert all(before.values())
+    assert index.publish(old_store).n_written == 0
+    assert rows(old_store, old_columns) == before
+    with duckdb.connect(old_store.index_path, read_only=True) as connection:
+        assert connection.execute("SELECT max(version) FROM schema_version").fetchone() == (len(MIGRATIONS),)
+    assert versions(old_store) == versions_in_index(old_store) == {"a": 3, "b": 4}
+    assert index.verify(old_store) == ()
+
+
+def test_a_brought_up_index_is_the_one_that_a_rebuild_makes(old_store: Store) -> None:
+    index.publish(old_store)
+    migrated = contents(old_store)
+    index.rebuild(old_store)
+    assert contents(old_store) == migrated

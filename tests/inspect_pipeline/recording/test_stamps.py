@@ -1,0 +1,27 @@
+from __future__ import annotations
+
+from inspect_pipeline.recording.stamps import StampCheck
+from inspect_pipeline.recording.types import Frame
+
+
+def warnings(*stamps: tuple[str, int]) -> list[str]:
+    check = StampCheck()
+    for i, (topic, stamp_ns) in enumerate(stamps):
+        check.see(Frame(1, topic, i, i, i, stamp_ns, "cam", None, "no image"))
+    return list(check.warnings())
+
+
+def test_stamps_in_order_are_nothing_to_tell() -> None:
+    assert warnings(("/a", 1), ("/b", 1), ("/a", 2), ("/b", 2)) == []
+    assert warnings() == []
+
+
+def test_stamps_by_which_images_are_not_told_apart() -> None:
+    assert warnings(*[("/a", 0)] * 1200, ("/b", 5)) == ["/a: 1,200 images without a header stamp"]
+    assert warnings(("/a", 5), ("/a", 5), ("/a", 5), ("/a", 6)) == [
+        "/a: 2 images with the header stamp of the one before"
+    ]
+    assert warnings(("/b", 5), ("/b", 4), ("/a", 0), ("/b", 6)) == [
+        "/a: 1 images without a header stamp",
+        "/b: 1 images with a header stamp before that of the one before",
+    ]

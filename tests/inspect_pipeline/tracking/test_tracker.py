@@ -1,0 +1,236 @@
+"""Tracks of lines whose ways are known: straight ones by hand, and conductors of simulated flights."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import astuple
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import duckdb
+import numpy as np
+import pytest
+from flights import START_NS, flight_id_of
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from inspect_pipeline.geometry.attitude import YawPitchRoll
+from inspect_pipeline.georeference.frames import FramePlace
+from inspect_pipeline.index.flight_tables import FlightWriter
+from inspect_pipeline.recording.types import Frame
+from inspect_pipeline.tracking.camera_motion import UnsteadyTurn
+from inspect_pipeline.tracking.kalman import Measured, Pace
+from inspect_pipeline.tracking.tracker import LineTracker, Moment
+from lsnet.segments import Detections, Lines, Segments
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+SIZE = (720, 1280)
+PERIOD_NS = 200_000_000
+
+
+def moment(i: int) -> Moment:
+    return Moment(i, START_NS + i * PERIOD_NS, SIZE)
+
+
+def across(y: float, slope_px: float = 0.0, x1: float = 0.0, x2: float = 1280.0) -> tuple[float, ...]:
+    """A line from x1 to x2 that passes the middle of the image at height y."""
+    return (x1, y + slope_px * (x1 / 1280 - 0.5), x2, y + slope_px * (x2 / 1280 - 0.5))
+
+
+def run(frames: Sequence[Sequence[tuple[float, ...]]]) -> tuple[list[list[int]], LineTracker]:
+    tracker = LineTracker()
+    ids = [
+        tracker.update(moment(i), np.array(lines).reshape(-1, 4), np.full(len(lines), 0.5)).tolist()
+        for i, lines in enumerate(frames)
+    ]
+    return ids, tracker
+
+
+def test_lines_that_drift_keep_their_tracks_whatever_their_order() -> None:
+    frames = [[across(100 + 12 * i), across(200 + 12 * i), across(300 + 12 * i)] for i in range(12)]
+    ids, tracker = run([lines if i % 2 else lines[::-1] for i, lines in enumerate(frames)])
+    assert all(found == (ids[1] if i % 2 else ids[0]) for i, found in enumerate(ids))
+    assert ids[0] == ids[1][::-1]
+    rows = tracker.finish()
+    assert [(row.n_frames, row.n_coasted, row.first_frame_idx, row.last_frame_idx) for row in rows] == [
+        (12, 0, 0, 11)
+    ] * 3
+    assert sorted(row.mean_offset_px for row in rows) == pytest.approx([-194, -94, 6], abs=15)
+    assert all(min(row.mean_angle_deg, 180 - row.mean_angle_deg) < 0.5 for row in rows)
+    assert {(row.start_ns, row.end_ns) for row in rows} == {(START_NS, START_NS + 11 * PERIOD_NS)}
+
+
+def test_a_line_that_crosses_others_stays_itself() -> None:
+    """One moves down by 30 px a frame through two that stand still, at an angle."""
+    frames = [[across(250), across(500), across(100 + 30 * i, slope_px=250)] for i in range(20)]
+    ids, _ = run(frames)
+    assert all(found == ids[0] for found in ids)
+
+
+def test_a_track_coasts_over_misses_and_counts_them() -> None:
+    frames = [[across(300 + 8 * i)] if not 5 <= i < 9 else [] for i in range(15)]
+    ids, tracker = run(frames)
+    assert {found[0] for found in ids if found} == {ids[0][0]}
+    (row,) = tracker.finish()
+    assert (row.n_frames, row.n_coasted) == (11, 4)
+
+
+def test_after_a_long_absence_a_line_is_another_track() -> None:
+    frames = [[across(300)] if not 5 <= i < 20 else [] for i in range(25)]
+    ids, tracker = run(frames)
+    assert ids[4] != ids[20]
+    assert [row.n_frames for row in tracker.finish()] == [5, 5]
+
+
+def test_what_comes_once_is_no_track() -> None:
+    rng = np.random.default_rng(1)
+    frames = [[across(300), tuple(rng.uniform((0, 0, 0, 0), (1280, 720, 1280, 720)))] for _ in range(40)]
+    ids, tracker = run(frames)
+    (row,) = [row for row in tracker.finish() if row.n_frames > 6]
+    assert (row.track_id, row.n_frames) == (ids[0][0], 40)
+
+
+def test_pieces_of_a_line_belong_to_its_track() -> None:
+    pieces = [across(300, 50, 0, 500), across(300, 50, 620, 1280)]
+    ids, _ = run([[across(300, 50)], [across(300, 50)], [*pieces, across(340, 50)], [across(300, 50)]])
+    assert ids[2] == [ids[0][0], ids[0][0], ids[2][2]]
+    assert ids[2][2] != ids[0][0]
+
+
+def test_a_turn_past_the_vertical_is_no_jump() -> None:
+    """Lines have no direction: 179 degrees are near 1 degree, and the offset changes its sign between."""
+    angles = np.radians(80 + 2 * np.arange(20))
+    way = np.column_stack((np.cos(angles), np.sin(angles)))
+    middle = np.array([700.0, 300.0])
+    ends = np.column_stack((middle - 200 * way, middle + 200 * way))
+    ids, tracker = run([[tuple(chord if i % 3 else chord[[2, 3, 0, 1]])] for i, chord in enumerate(ends)])
+    assert {found[0] for found in ids} == {0}
+    (row,) = tracker.finish()
+    assert row.mean_angle_deg == pytest.approx(99, abs=2)
+
+
+def seen_by(turns: YawPitchRoll, rays: np.ndarray) -> np.ndarray:
+    """(N, 2) pixels of directions in north, east, down, by SciPy's rotation; 900 px of focal length."""
+    body = Rotation.from_euler("ZYX", turns, degrees=True).inv().apply(rays)
+    return 900 * body[:, 1:] / body[:, :1] + (640, 360)
+
+
+def far_rays() -> np.ndarray:
+    """Both ends of five lines side by side, as a camera that looks north sees them."""
+    x = np.repeat([560.0, 600.0, 640.0, 680.0, 720.0], 2)
+    y = np.tile([0.0, 720.0], 5)
+    return np.column_stack((np.ones(10), (x - 640) / 900, (y - 360) / 900))
+
+
+def test_the_turn_of_the_camera_is_undone() -> None:
+    """The camera yaws by 4 degrees a frame, to and fro: 60 px, one and a half times between the lines."""
+
+    def follow(*, with_motion: bool) -> list[list[int]]:
+        tracker, turn, ids = LineTracker(), UnsteadyTurn(), []
+        for i in range(12):
+            turns = YawPitchRoll(4.0 * (i % 2), 0.0, 0.0) if i > 3 else YawPitchRoll(0.0, 0.0, 0.0)
+            motion = turn.update(turns, moment(i).time_ns, 900.0 if with_motion else None, SIZE)
+            chords = seen_by(turns, far_rays()).reshape(-1, 4)
+            ids.append(tracker.update(moment(i), chords, np.ones(5), motion).tolist())
+        return ids
+
+    with_motion, without = follow(with_motion=True), follow(with_motion=False)
+    assert all(found == [0, 1, 2, 3, 4] for found in with_motion)
+    assert any(found != before for before, found in pairwise(without))
+
+
+def test_a_turn_moves_pixels_as_far_things_move() -> None:
+    """After seconds of rest, a turn about all axes."""
+    turn, rest, after = UnsteadyTurn(), YawPitchRoll(30.0, -40.0, 3.0), YawPitchRoll(33.0, -38.0, 1.0)
+    motions = [turn.update(rest, moment(i).time_ns, 900.0, SIZE) for i in range(5)]
+    assert motions[0] is None
+    assert all(motion == pytest.approx(np.eye(3), abs=1e-9) for motion in motions[1:])
+    motion = turn.update(after, moment(5).time_ns, 900.0, SIZE)
+    rays = Rotation.from_euler("ZYX", rest, degrees=True).apply(far_rays())
+    moved = np.column_stack((seen_by(rest, rays), np.ones(10))) @ motion.T
+    assert moved[:, :2] / moved[:, 2:] == pytest.approx(seen_by(after, rays), abs=1e-6)
+
+
+def test_a_steady_turn_is_left_to_the_tracks() -> None:
+    turn = UnsteadyTurn()
+    motions = [
+        turn.update(YawPitchRoll(2.0 * i, -30.0, 0.0), moment(i).time_ns, 900.0, SIZE) for i in range(8)
+    ]
+    assert all(motion == pytest.approx(np.eye(3), abs=1e-6) for motion in motions[1:])
+    assert turn.update(None, moment(8).time_ns, 900.0, SIZE) is None
+    assert turn.update(YawPitchRoll(0.0, 0.0, 0.0), moment(9).time_ns, 900.0, SIZE) is None  # it begins anew
+
+
+def test_a_flight_without_lines_has_no_tracks() -> None:
+    ids, tracker = run([[], [], []])
+    assert (ids, tracker.finish()) == ([[], [], []], [])
+
+
+@given(st.floats(0.01, 3), st.floats(0.01, 3), st.floats(-5, 5), st.floats(-5, 5))
+def test_waiting_twice_is_waiting_once(first_s: float, second_s: float, value: float, speed: float) -> None:
+    twice, once = Measured(value, 0.3, 2.0, speed, 0.1), Measured(value, 0.3, 2.0, speed, 0.1)
+    twice.go_on(Pace.of(first_s))
+    twice.go_on(Pace.of(second_s))
+    once.go_on(Pace.of(first_s + second_s))
+    assert astuple(twice) == pytest.approx(astuple(once))
+
+
+@given(st.floats(0.1, 5), st.floats(0.1, 5), st.floats(-0.9, 0.9), st.floats(0.1, 5), st.floats(-9, 9))
+def test_a_correction_is_that_of_the_textbook(
+    value_var: float, speed_var: float, correlation: float, noise_var: float, difference: float
+) -> None:
+    """x + K y and (I - K H) P, in matrices."""
+    both_var = correlation * np.sqrt(value_var * speed_var)
+    measured = Measured(1.0, value_var, 1.0, 2.0, both_var)
+    measured.speed_var = speed_var
+    covariance = np.array([[value_var, both_var], [both_var, speed_var]])
+    seen = np.array([[1.0, 0.0]])
+    gain = covariance @ seen.T / (seen @ covariance @ seen.T + noise_var)
+    state = np.array([[1.0], [2.0]]) + gain * difference
+    covariance = (np.eye(2) - gain @ seen) @ covariance
+    measured.correct(difference, noise_var)
+    assert (measured.value, measured.speed) == pytest.approx(tuple(state.ravel()))
+    found = (measured.value_var, measured.both_var, measured.speed_var)
+    assert found == pytest.approx((covariance[0, 0], covariance[0, 1], covariance[1, 1]))
+
+
+def test_tracks_are_written_with_the_rows(tmp_path: Path) -> None:
+    """Two cameras: one sees a line in each frame and a false one once, the other one sees nothing."""
+    image = np.zeros((*SIZE, 3), np.uint8)
+    place = FramePlace(
+        lat_deg=52.0,
+        lon_deg=5.0,
+        cam_yaw_deg=0.0,
+        cam_pitch_deg=-30.0,
+        cam_roll_deg=0.0,
+        attitude_source="camera",
+        focal_px=900.0,
+    )
+    with FlightWriter(tmp_path, flight_id_of("a")) as writer:
+        for i in range(5):
+            chords = [across(300), across(600, 100)] if i == 2 else [across(300)]
+            points = tuple(np.array(chord, np.float32).reshape(2, 2) for chord in chords)
+            lines = Lines(points, np.full(len(points), 0.5, np.float32), SIZE)
+            time_ns = START_NS + i * PERIOD_NS
+            for channel_id, found in ((1, lines), (2, Lines.empty(SIZE))):
+                frame = Frame(channel_id, "/c", i, time_ns, time_ns, time_ns, "", image)
+                writer.add_frame(frame, Detections(Segments.empty(SIZE), found), place=place)
+        writer.finish()
+    rows = duckdb.execute(
+        "SELECT channel_id, track_id, first_frame_idx, last_frame_idx, n_frames, n_coasted, mean_score"
+        f" FROM '{tmp_path}/tracks.parquet'"
+    ).fetchall()
+    assert rows == [(1, 0, 0, 4, 5, 0, 0.5)]
+    lines_of = duckdb.execute(
+        f"SELECT frame_idx, line_idx, track_id FROM '{tmp_path}/lines.parquet' ORDER BY ALL"
+    ).fetchall()
+    assert lines_of == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (2, 1, None), (3, 0, 0), (4, 0, 0)]
+    (placed,) = duckdb.execute(
+        "SELECT DISTINCT {'lat': lat_deg, 'pitch': cam_pitch_deg, 'of': attitude_source, 'gsd': gsd_m}::JSON"
+        f" FROM '{tmp_path}/frames.parquet'"
+    ).fetchall()
+    assert json.loads(placed[0]) == {"lat": 52.0, "pitch": -30.0, "of": "camera", "gsd": None}

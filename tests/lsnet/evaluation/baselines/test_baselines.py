@@ -1,0 +1,65 @@
+"""Rivals tell what they find in our terms."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from nets import openvino_or_skip
+
+from lsnet import LSNetError
+from lsnet.evaluation.baselines.lengths import SCORE_LENGTH_PX
+from lsnet.evaluation.baselines.lsd import LSD
+from lsnet.evaluation.baselines.mlsd import MLSD, decode
+from lsnet.evaluation.report import open_finder
+
+
+def test_lsd_finds_the_edges_of_a_band() -> None:
+    image = np.full((120, 160, 3), 60, np.uint8)
+    cv2.rectangle(image, (20, 50), (139, 69), (200, 200, 200), -1)
+    (found,) = LSD().detect([image])
+    long = found.segments.above(1 - np.exp(-100 / SCORE_LENGTH_PX))
+    assert sorted(np.round(long.endpoints[:, [1, 3]].mean(1)).tolist()) == [50.0, 70.0]
+    lengths = np.hypot(*(long.endpoints[:, 2:] - long.endpoints[:, :2]).T)
+    np.testing.assert_allclose(long.scores, 1 - np.exp(-lengths / 100), atol=1e-5)
+    np.testing.assert_array_equal(found.lines.pieces().endpoints, found.segments.endpoints)
+
+
+def test_lsd_of_a_plain_image_finds_nothing() -> None:
+    (found,) = LSD().detect([np.full((40, 40, 3), 90, np.uint8)])
+    assert (len(found.segments), len(found.lines)) == (0, 0)
+
+
+def test_mlsd_tells_segments_from_centres_and_steps_to_their_ends() -> None:
+    steps = np.zeros((64, 128, 4), np.float32)
+    steps[30, 50] = (-20.5, -10, 19.5, 20)  # x y of the one end, x y of the other
+    steps[10, 10] = (-4, 0, 4, 0)  # too short
+    steps[40, 90] = (-30, 0, 30, 0)  # not sure enough
+    centres = np.array([[30, 50], [10, 10], [40, 90]], np.int32)
+    found = decode(centres, np.array([0.5, 0.9, 0.05], np.float32), steps, (128, 384))
+    # An image of 384 x 128 has 3 px a place across and 2 px down; a place is meant at its middle.
+    np.testing.assert_allclose(found.segments.endpoints, [[90, 41, 210, 101]])
+    lengths = np.hypot(120, 60)
+    np.testing.assert_allclose(found.segments.scores, 1 - np.exp(-lengths / SCORE_LENGTH_PX), rtol=1e-5)
+
+
+def test_files_that_are_no_network_are_one_line(tmp_path: Path) -> None:
+    openvino_or_skip()
+    (tmp_path / "a.tflite").write_bytes(b"no network")
+    for name in ("a.tflite", "missing.tflite"):
+        with pytest.raises(LSNetError, match=r"not a network OpenVINO can read; give M-LSD's") as error:
+            MLSD(tmp_path / name)
+        assert "\n" not in str(error.value)
+    with pytest.raises(LSNetError, match="no rival 'elsed'; give lsd"):
+        open_finder("fast", "torch", "elsed")
+
+
+def test_mlsd_finds_the_edges_of_a_band(data_dir: Path) -> None:
+    openvino_or_skip()
+    weights = data_dir.parent / "models/M-LSD_512_tiny_fp32.tflite"
+    image = np.full((256, 300, 3), 60, np.uint8)
+    cv2.rectangle(image, (20, 80), (279, 169), (200, 200, 200), -1)
+    long = MLSD(weights).detect([image])[0].segments.above(1 - np.exp(-200 / SCORE_LENGTH_PX))
+    rows = long.endpoints[:, [1, 3]].mean(1)
+    for edge in (80, 170):
+        assert np.abs(rows - edge).min() < 3

@@ -1,0 +1,38 @@
+"""Grids left out are the cells whose corner lies where those of the paper do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lsnet import LSNetError
+from lsnet.evaluation.grids import OnlyGrids
+from lsnet.grid import GridCoder
+
+
+class AllCells:
+    name, precision, threads = "fake", "f32", 1
+
+    def run(self, images: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+        rows, columns = GridCoder().map_size(images[0].shape[:2])
+        return [(np.ones((rows, columns), np.float32), np.zeros((rows, columns, 4), np.float32))]
+
+
+@pytest.mark.parametrize(
+    ("grids", "offsets"), [("M", [(0, 0)]), ("MH", [(0, 0), (16, 0)]), ("VC", [(0, 16), (16, 16)])]
+)
+def test_cells_are_those_of_the_grids_shifted_by_half_a_cell(
+    grids: str, offsets: list[tuple[int, int]]
+) -> None:
+    backend = OnlyGrids(AllCells(), grids)
+    ((scores, _),) = backend.run([np.zeros((96, 128, 3), np.uint8)])
+    corners = GridCoder().corners((96, 128))[scores > 0]
+    expected = {(x, y) for dx, dy in offsets for x in range(dx, 128 - 31, 32) for y in range(dy, 96 - 31, 32)}
+    assert set(map(tuple, corners.tolist())) == expected
+    assert (backend.name, backend.precision, backend.threads) == ("fake", "f32", 1)
+
+
+@pytest.mark.parametrize("grids", ["", "MX", "m"])
+def test_letters_that_are_no_grid_are_one_line(grids: str) -> None:
+    with pytest.raises(LSNetError, match="give some of the letters MHVC"):
+        OnlyGrids(AllCells(), grids)

@@ -1,0 +1,75 @@
+"""The paper's scores by hand: averages of each image's own, and pooled."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+from skimage.filters import threshold_otsu
+
+from lsnet.evaluation.paper import evaluate_as_paper, segmentation
+from lsnet.evaluation.rasterize import confidence_map, smoothed
+from lsnet.segments import Detections, Lines, Segments
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SIZE = (60, 80)
+
+
+def segment(row: float, score: float) -> Segments:
+    return Segments(np.array([[0, row, 79.9, row]], np.float32), np.array([score], np.float32), SIZE)
+
+
+class FirstOnly:
+    """Finds rows 30 and 10 of the dark image, nothing in the bright one."""
+
+    def detect(self, images: list[np.ndarray]) -> list[Detections]:
+        both = Segments(
+            np.array([[0, 30.5, 79.9, 30.5], [0, 10.5, 79.9, 10.5]], np.float32),
+            np.array([0.9, 0.8], np.float32),
+            SIZE,
+        )
+        return [
+            Detections(Segments.empty(SIZE) if image[0, 0, 0] else both, Lines.empty(SIZE))
+            for image in images
+        ]
+
+
+def test_means_are_of_each_image_and_pooled_of_all(tmp_path: Path) -> None:
+    for name, value in (("a", 0), ("b", 100)):
+        for kind in ("images", "masks"):
+            (tmp_path / kind).mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / f"images/{name}.png"), np.full((*SIZE, 3), value, np.uint8))
+        mask = np.zeros(SIZE, np.uint8)
+        mask[29:33] = 255
+        cv2.imwrite(str(tmp_path / f"masks/{name}.png"), mask)
+    scores = {(s.width_px, s.binarised): s for s in evaluate_as_paper(FirstOnly(), tmp_path)}
+    assert len(scores) == 10
+    one = scores[1, "0.5"]
+    # Image a: 80 of 160 drawn are right, 80 of 320 found. Image b: nothing drawn.
+    assert (one.images, one.apr, one.arr) == (2, 0.25, 0.125)
+    assert one.f1 == pytest.approx((2 * 0.5 * 0.25 / 0.75) / 2)
+    assert (one.pooled_precision, one.pooled_recall) == (0.5, 0.125)
+    assert one.pooled_f1 == pytest.approx(0.2)
+    assert scores[3, "0.5"].arr == 3 * one.arr
+    assert "1 px wide, score 0.5: APR 0.2500" in str(one)
+
+
+def test_a_plain_folder_has_none(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((*SIZE, 3), np.uint8))
+    assert evaluate_as_paper(FirstOnly(), tmp_path) == []
+
+
+def test_binary_maps_are_cut_where_they_say() -> None:
+    assert segmentation(segment(30.5, 0.5), 1, "0.5").sum() == 80
+    assert not segmentation(segment(30.5, 0.49), 1, "0.5").any()
+    two = Segments(
+        np.concatenate([segment(10.5, 0.4).endpoints, segment(40.5, 0.9).endpoints]),
+        np.array([0.4, 0.9], np.float32),
+        SIZE,
+    )
+    grey = np.round(smoothed(confidence_map(two, 2)) * 255).astype(np.uint8)
+    np.testing.assert_array_equal(segmentation(two, 2, "otsu"), grey > threshold_otsu(grey))

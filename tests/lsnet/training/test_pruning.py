@@ -1,0 +1,79 @@
+"""Narrower networks: what does nothing can be left out without a trace."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from nets import TINY, save_tiny, tiny_net
+
+from lsnet import LSNetError
+from lsnet.model import PRESETS, ConvNormAct, LSNet, LSNetConfig, Residual
+from lsnet.training.pruning import slim
+from lsnet.training.trainer import TrainConfig, Trainer
+
+NARROW = replace(TINY, stem_channels=3, stage_channels=(2, 5, 6), head_channels=4, context_blocks=1)
+
+
+def silence(layer: torch.nn.Module, live: torch.Tensor) -> None:
+    """Only the channels `live` ever say anything."""
+    dead = torch.ones(layer[1].num_features, dtype=torch.bool)
+    dead[live] = False
+    with torch.no_grad():
+        layer[1].weight[dead] = 0
+        layer[1].bias[dead] = 0
+
+
+def silenced(config: LSNetConfig) -> LSNet:
+    """A wider network in which as many channels speak as `config` has, other ones in every layer."""
+    net = tiny_net(config=replace(TINY, context_blocks=1))
+    widths = [config.stem_channels, *config.stage_channels]
+    trunk = -1
+    for layer in net.extractor:
+        if isinstance(layer, ConvNormAct):
+            trunk += 1
+            live = torch.randperm(layer[1].num_features)[: widths[trunk]]
+            silence(layer, live)
+        elif isinstance(layer, Residual):
+            silence(layer.body[0], torch.randperm(len(layer.body[0][1].weight))[: widths[trunk]])
+            silence(layer.body[1], live)
+    for head in (net.classifier, net.regressor):
+        silence(head[0], torch.randperm(TINY.head_channels)[: config.head_channels])
+    return net
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_channels_that_say_nothing_are_not_missed(seed: int) -> None:
+    torch.manual_seed(seed)
+    wide = silenced(NARROW)
+    narrow = slim(wide, NARROW).eval()
+    images = torch.rand(2, 3, 96, 64)
+    assert sum(p.numel() for p in narrow.parameters()) < sum(p.numel() for p in wide.parameters())
+    for ours, theirs in zip(narrow(images), wide(images), strict=True):
+        torch.testing.assert_close(ours, theirs)
+
+
+def test_the_same_widths_are_the_same_network() -> None:
+    net = tiny_net()
+    assert slim(net, TINY) is net
+
+
+@pytest.mark.parametrize(
+    "other",
+    [replace(TINY, head_channels=16), replace(TINY, stage_channels=(4, 8)), replace(TINY, stage_blocks=2)],
+    ids=["wider", "stages", "depth"],
+)
+def test_only_widths_can_shrink(other: LSNetConfig) -> None:
+    with pytest.raises(ValueError, match="widths"):
+        slim(tiny_net(), other)
+
+
+def test_a_training_begins_with_the_channels_that_matter(tmp_path, monkeypatch) -> None:
+    wide = save_tiny(tmp_path / "wide.safetensors")
+    monkeypatch.setitem(PRESETS, "fast", replace(TINY, stage_channels=(4, 6, 8)))
+    trainer = Trainer(TrainConfig(), tmp_path / "run", start=wide)
+    expected = slim(tiny_net(), PRESETS["fast"]).state_dict()
+    for name, value in trainer.average.state_dict().items():
+        torch.testing.assert_close(value, expected[name])
+    monkeypatch.setitem(PRESETS, "fast", replace(TINY, stage_channels=(4, 6, 9)))
+    with pytest.raises(LSNetError, match=r"wide\.safetensors: not weights of a fast network or a wider one"):
+        Trainer(TrainConfig(), tmp_path / "other", start=wide)

@@ -1,0 +1,309 @@
+"""Training a tiny network on a handful of drawn lines."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from nets import TINY
+
+from lsnet import model
+from lsnet.errors import LSNetError
+from lsnet.synth.dataset import Sample
+from lsnet.training import trainer as train
+from lsnet.training.checkpoints import load_checkpoint, save_checkpoint
+from lsnet.training.sources import TrainingData, export_run, open_sources
+from lsnet.training.trainer import Progress, TrainConfig, Trainer, learning_rate_at
+from lsnet.weights import load_weights
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+QUICK = TrainConfig(
+    preset="tiny",
+    steps=12,
+    batch_size=2,
+    learning_rate=5e-3,
+    warmup_steps=2,
+    validate_every=4,
+    validation_images=2,
+    threads=1,
+    workers=0,
+)
+
+
+class Strokes:
+    """A few fixed images, each with one bright line on a dark ground."""
+
+    size = 64
+
+    def __init__(self, count: int = 4, seed: int = 0) -> None:
+        self._count, self._seed, self.asked = count, seed, []
+
+    def __getitem__(self, index: int) -> Sample:
+        self.asked.append(index)
+        rng = np.random.default_rng([self._seed, index % self._count])
+        image, line = np.full((64, 64, 3), 40, np.uint8), rng.uniform(0, 64, (2, 2))
+        cv2.line(image, *(tuple(p) for p in line.astype(int).tolist()), (220, 220, 220), 3)
+        return Sample(image, [line])
+
+
+@pytest.fixture(autouse=True)
+def _tiny_preset(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(model.PRESETS, "tiny", TINY)
+
+
+@pytest.fixture(autouse=True)
+def _threads_restored() -> object:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def quiet(_progress: Progress) -> None:
+    pass
+
+
+def test_a_tiny_set_is_learnt_by_heart(tmp_path: Path) -> None:
+    config = replace(QUICK, steps=100, batch_size=4, validate_every=50, learning_rate=2e-2)
+    reports: list[Progress] = []
+    trainer = Trainer(config, tmp_path / "run")
+    before = trainer.validate(list(train.loader(Strokes(), range(4), config)))
+    trainer.run(Strokes(), Strokes(), reports.append)
+    told = [r for r in reports if r.validation_loss is not None]
+    assert [r.step for r in told] == [50, 100]
+    assert trainer.best_loss < before / 2
+    assert told[-1].loss < before / 4
+    assert told[-1].classification < 0.02
+    assert told[-1].loss == pytest.approx(told[-1].classification + told[-1].regression, rel=1e-5)
+    log = [json.loads(line) for line in (tmp_path / "run/log.jsonl").read_text().splitlines()]
+    assert [entry["validation_loss"] for entry in log] == [r.validation_loss for r in told]
+
+
+def test_a_killed_run_ends_with_the_weights_of_an_undisturbed_one(tmp_path: Path) -> None:
+    class Killed(Exception):  # noqa: N818
+        pass
+
+    def kill_at_eight(progress: Progress) -> None:
+        if progress.step == 8:
+            raise Killed
+
+    Trainer(QUICK, tmp_path / "whole").run(Strokes(), Strokes(), quiet)
+    with pytest.raises(Killed):  # after four steps it has kept a checkpoint; the next four are lost
+        Trainer(QUICK, tmp_path / "killed").run(Strokes(), Strokes(), kill_at_eight)
+    samples = Strokes()
+    resumed = Trainer(QUICK, tmp_path / "killed", seed=99)
+    assert resumed.step == 4
+    resumed.run(samples, Strokes(), quiet)
+    assert samples.asked == list(range(8, 24))
+    whole, killed = (torch.load(tmp_path / name / "last.pt") for name in ("whole", "killed"))
+    for part in ("net", "average"):
+        for name, tensor in whole[part].items():
+            assert torch.equal(tensor, killed[part][name]), name
+    assert (whole["step"], whole["best_loss"]) == (killed["step"], killed["best_loss"])
+
+
+def test_the_same_seed_gives_the_same_run_and_another_another(tmp_path: Path) -> None:
+    nets = [Trainer(QUICK, tmp_path / str(i), seed=seed).net for i, seed in enumerate((1, 1, 2))]
+    same, other = (
+        all(torch.equal(a, b) for a, b in zip(nets[0].parameters(), net.parameters(), strict=True))
+        for net in nets[1:]
+    )
+    assert (same, other) == (True, False)
+
+
+def test_validation_comes_when_asked_and_at_the_end(tmp_path: Path) -> None:
+    config, steps = replace(QUICK, steps=7, validate_every=3), []
+    trainer = Trainer(config, tmp_path)
+    trainer.run(Strokes(), Strokes(), lambda p: steps.append((p.step, p.validation_loss is not None)))
+    assert steps == [(3, True), (6, True), (7, True)]
+
+
+def test_a_run_stops_when_validation_does_not_improve_and_stays_stopped(tmp_path: Path) -> None:
+    config, losses = (
+        replace(QUICK, steps=40, validate_every=1, patience=3),
+        iter([2.0, 1.0, 1.5, 1.0, 3.0, 0.0]),
+    )
+    trainer = Trainer(config, tmp_path)
+    trainer.validate = lambda _batches: next(losses)
+    trainer.run(Strokes(), Strokes(), quiet)
+    assert (trainer.step, trainer.best_loss) == (5, 1.0)
+    assert torch.load(tmp_path / "best.pt")["step"] == 2
+    again, samples = Trainer(config, tmp_path), Strokes()
+    again.run(samples, samples, quiet)
+    assert (again.step, samples.asked) == (5, [])
+
+
+def test_the_average_is_kept_and_not_the_last_weights(tmp_path: Path) -> None:
+    trainer = Trainer(QUICK, tmp_path)
+    trainer.run(Strokes(), Strokes(), quiet)
+    kept, last = torch.load(tmp_path / "best.pt"), torch.load(tmp_path / "last.pt")
+    key = "classifier.1.weight"
+    assert not torch.equal(last["average"][key], last["net"][key])
+    assert set(kept) == {"average", "step"}
+
+
+@pytest.mark.parametrize(
+    "change", [{"learning_rate": 1.0}, {"steps": 13}, {"data": "others"}, {"preset": "fast"}]
+)
+def test_another_recipe_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    Trainer(QUICK, tmp_path).run(Strokes(), Strokes(), quiet)
+    with pytest.raises(LSNetError, match=f"other {next(iter(change))}.*; give another --run folder"):
+        Trainer(replace(QUICK, **change), tmp_path)
+    Trainer(replace(QUICK, threads=2), tmp_path)  # how it is computed may change
+
+
+def test_a_run_outlives_a_change_of_its_preset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It can be exported, and is not gone on with by mistake."""
+    Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)
+    monkeypatch.setitem(model.PRESETS, QUICK.preset, replace(TINY, head_channels=16))
+    export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
+    assert load_weights(tmp_path / "x.safetensors").card.network == TINY
+    with pytest.raises(LSNetError, match="other network; give another --run folder"):
+        Trainer(QUICK, tmp_path / "run")
+
+
+def test_a_run_begins_with_the_weights_of_another(tmp_path: Path) -> None:
+    Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
+    started = Trainer(QUICK, tmp_path / "b", seed=5, start=tmp_path / "a/best.pt")
+    kept = torch.load(tmp_path / "a/best.pt")["average"]
+    assert all(torch.equal(t, kept[name]) for name, t in started.net.state_dict().items())
+    assert all(torch.equal(t, kept[name]) for name, t in started.average.state_dict().items())
+    assert started.step == 0
+
+
+def test_a_run_begins_with_shipped_weights(tmp_path: Path) -> None:
+    started = Trainer(replace(QUICK, preset="fast"), tmp_path, start="fast")
+    shipped = load_weights("fast").net.state_dict()
+    assert all(torch.equal(t, shipped[name]) for name, t in started.average.state_dict().items())
+    with pytest.raises(LSNetError, match="no such weights"):
+        Trainer(QUICK, tmp_path / "b", start="slow")
+
+
+def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
+    Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
+    (tmp_path / "damaged.pt").write_bytes((tmp_path / "a/best.pt").read_bytes()[:500])
+    (tmp_path / "file").touch()
+    for start in ("missing.pt", "damaged.pt"):
+        with pytest.raises(LSNetError, match=start):
+            Trainer(QUICK, tmp_path / "b", start=tmp_path / start)
+    with pytest.raises(LSNetError, match=r"best\.pt: not weights of a fast network"):
+        Trainer(replace(QUICK, preset="fast"), tmp_path / "b", start=tmp_path / "a/best.pt")
+    (tmp_path / "a/last.pt").write_bytes(b"PK")
+    with pytest.raises(LSNetError, match=r"last\.pt: missing or damaged"):
+        Trainer(QUICK, tmp_path / "a")
+    with pytest.raises(LSNetError, match="cannot be made a folder"):
+        Trainer(QUICK, tmp_path / "file")
+
+
+def test_a_run_with_a_strange_checkpoint_is_one_line(tmp_path: Path) -> None:
+    Trainer(replace(QUICK, steps=1), tmp_path).run(Strokes(), Strokes(), quiet)
+    last = torch.load(tmp_path / "last.pt")
+    for strange in (torch.zeros(3), {"a": 1}, last | {"net": {}}, last | {"optimizer": {}}):
+        torch.save(strange, tmp_path / "last.pt")
+        with pytest.raises(LSNetError, match=r"last\.pt: (not a checkpoint|damaged or of another version)"):
+            Trainer(replace(QUICK, steps=1), tmp_path)
+
+
+@pytest.mark.parametrize("byte", [0x00, 0x2E, 0x52, 0xC4])
+def test_a_checkpoint_with_a_damaged_byte_is_one_line_or_read(tmp_path: Path, byte: int) -> None:
+    path = tmp_path / "best.pt"
+    save_checkpoint({"average": {"weight": torch.zeros(2)}, "step": 3}, path)
+    whole = path.read_bytes()
+    for at in range(0, len(whole), 7):
+        path.write_bytes(whole[:at] + bytes([byte]) + whole[at + 1 :])
+        with contextlib.suppress(LSNetError):
+            load_checkpoint(path)
+
+
+def test_a_checkpoint_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LSNetError, match=r"best\.pt: cannot be written; make room"):
+        save_checkpoint({}, tmp_path / "none/best.pt")
+
+
+def test_a_run_that_loses_itself_is_one_line(tmp_path: Path) -> None:
+    trainer = Trainer(replace(QUICK, learning_rate=1e30), tmp_path)
+    with pytest.raises(LSNetError, match="the loss grew beyond all bounds; lower --learning-rate"):
+        trainer.run(Strokes(), Strokes(), quiet)
+    assert not (tmp_path / "best.pt").exists()
+
+
+class Unreadable(Strokes):
+    """Samples of a file that is damaged."""
+
+    def __getitem__(self, index: int) -> Sample:
+        raise LSNetError("a.png: damaged; remove it")
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_sample_that_cannot_be_read_is_one_line(workers: int) -> None:
+    with pytest.raises(LSNetError) as error:
+        list(train.loader(Unreadable(), range(2), replace(QUICK, workers=workers)))
+    assert str(error.value) == "a.png: damaged; remove it"
+
+
+def test_learning_rate_warms_up_and_cools_down() -> None:
+    config = TrainConfig(steps=1000, warmup_steps=100, learning_rate=1.0)
+    assert learning_rate_at(0, config) == pytest.approx(0.01)
+    assert learning_rate_at(99, config) == pytest.approx(1.0)
+    assert learning_rate_at(550, config) == pytest.approx(0.01 + 0.99 / 2)
+    assert learning_rate_at(1000, config) == pytest.approx(0.01)
+
+
+def test_export_keeps_the_best_average_with_its_recipe(tmp_path: Path) -> None:
+    Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)
+    metrics = tmp_path / "metrics.jsonl"
+    metrics.write_text('{"folder": "a"}\n{"folder": "b"}\n')
+    sha256 = export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, metrics)
+    loaded, best = load_weights(tmp_path / "x.safetensors"), torch.load(tmp_path / "run/best.pt")
+    assert all(torch.equal(t, best["average"][name]) for name, t in loaded.net.state_dict().items())
+    assert (loaded.sha256, loaded.card.name, loaded.card.min_score) == (sha256, "mine", 0.4)
+    assert loaded.card.network == TINY
+    assert loaded.card.recipe["trained_steps"] == best["step"]
+    assert loaded.card.recipe["learning_rate"] == QUICK.learning_rate
+    assert loaded.card.metrics == {"evaluated": [{"folder": "a"}, {"folder": "b"}]}
+
+
+def test_export_of_what_is_no_run_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LSNetError, match="train a run to its first validation"):
+        export_run(tmp_path, tmp_path / "x.safetensors", "mine", 0.4, None)
+    Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)
+    (tmp_path / "metrics").write_text("no json")
+    with pytest.raises(LSNetError, match="not the output of lsnet-pipe model eval --json"):
+        export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, tmp_path / "metrics")
+    with pytest.raises(LSNetError, match="cannot be written"):
+        export_run(tmp_path / "run", tmp_path / "none/x.safetensors", "mine", 0.4, None)
+    torch.save({"average": {}, "step": 1}, tmp_path / "run/best.pt")
+    with pytest.raises(LSNetError, match=r"run: best\.pt is not of the network of last\.pt"):
+        export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
+
+
+def test_training_and_validation_never_share_a_drawn_image() -> None:
+    ours, theirs = open_sources(TrainingData((), None, None, (), size=64, seed=3))
+    assert not any(np.array_equal(ours[i].image, theirs[j].image) for i in range(3) for j in range(3))
+
+
+def test_data_that_cannot_be_trained_on_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LSNetError, match="multiple of 16"):
+        open_sources(TrainingData((), None, None, (), size=100, seed=0))
+    with pytest.raises(LSNetError, match="--validation"):
+        open_sources(TrainingData((), tmp_path, None, (), size=64, seed=0))
+    with pytest.raises(LSNetError, match="give these with --data"):
+        open_sources(TrainingData((), None, tmp_path, (), size=64, seed=0))
+    with pytest.raises(LSNetError, match="leave out --background and --rendered"):
+        open_sources(TrainingData(("photos",), tmp_path, tmp_path, (), size=64, seed=0))
+    with pytest.raises(LSNetError, match="not a folder"):
+        open_sources(TrainingData((f"{tmp_path}/none:5",), None, None, (), size=64, seed=0))
+
+
+def test_the_recipe_names_its_data(tmp_path: Path) -> None:
+    drawn = TrainingData((f"{tmp_path}/a:5", f"{tmp_path}/b"), None, None, (), size=64, seed=3)
+    assert drawn.describe() == "drawn on a, first 5, b, 64 px, seed 3"
+    labelled = TrainingData((), tmp_path / "rails", tmp_path, (), size=64, seed=0)
+    assert labelled.describe() == "labelled rails, 64 px, seed 0"

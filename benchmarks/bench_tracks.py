@@ -24,7 +24,7 @@ from measure import conclude
 from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth
-from inspect_pipeline.tracking.camera_motion import UnsteadyTurn
+from inspect_pipeline.tracking.camera_motion import CameraMotion
 from inspect_pipeline.tracking.tracker import LineTracker, Moment
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def follow(follower: Follower, case: Case, seed: int, score: Score) -> None:
     """One flight."""
     options = SimulationOptions(seconds=_SECONDS, fps=_FPS, seed=seed, flight=case.flight, faults=case.faults)
     truth, rng = simulate_truth(options), np.random.default_rng(seed)
-    turn = UnsteadyTurn()
+    turn = CameraMotion()
     for frame in truth.frames:
         if frame.frame_idx is None:
             continue

@@ -19,7 +19,7 @@ _PACKAGES = ("torch", "openvino", "duckdb", "mcap", "opencv-python-headless", "n
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Diagnosis:
     """What was found about one thing, and whether the program can work with it."""
 
     subject: str
@@ -27,12 +27,12 @@ class Finding:
     is_ok: bool = True
 
 
-def examine(store: Store) -> Iterator[Finding]:
+def examine(store: Store) -> Iterator[Diagnosis]:
     """All findings, those that take longest last."""
-    yield Finding("lsnet-pipe", version("lsnet-pipe"))
-    yield Finding("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    yield Diagnosis("lsnet-pipe", version("lsnet-pipe"))
+    yield Diagnosis("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
     for package in _PACKAGES:
-        yield Finding(package, _version_of(package))
+        yield Diagnosis(package, _version_of(package))
     yield _examine_store(store)
     yield _examine_detector()
 
@@ -44,27 +44,27 @@ def _version_of(package: str) -> str:
         return "not installed"
 
 
-def _examine_store(store: Store) -> Finding:
+def _examine_store(store: Store) -> Diagnosis:
     if not store.root.exists():
-        return Finding("store", f"{store.root}: none yet; lsnet-pipe process makes it")
+        return Diagnosis("store", f"{store.root}: none yet; lsnet-pipe process makes it")
     if not store.root.is_dir():
-        return Finding("store", f"{store.root}: a file is where a folder should be", is_ok=False)
+        return Diagnosis("store", f"{store.root}: a file is where a folder should be", is_ok=False)
     try:
         flights, damaged = store.scan()
     except InspectError as error:
-        return Finding("store", str(error), is_ok=False)
+        return Diagnosis("store", str(error), is_ok=False)
     free_gib = shutil.disk_usage(store.root).free / 2**30
     state = f"{store.root}: {len(flights)} flights, {len(damaged)} damaged, {free_gib:.1f} GiB free"
     if flights and not store.index_path.exists():
-        return Finding("store", f"{state}, no index; run lsnet-pipe index rebuild", is_ok=False)
-    return Finding("store", state, is_ok=not damaged)
+        return Diagnosis("store", f"{state}, no index; run lsnet-pipe index rebuild", is_ok=False)
+    return Diagnosis("store", state, is_ok=not damaged)
 
 
-def _examine_detector() -> Finding:
+def _examine_detector() -> Diagnosis:
     from lsnet import Detector, LSNetError  # noqa: PLC0415 - seconds to import
 
     try:
         description = Detector.load().describe()
     except LSNetError as error:
-        return Finding("detector", str(error), is_ok=False)
-    return Finding("detector", ", ".join(f"{name} {value}" for name, value in description.items()))
+        return Diagnosis("detector", str(error), is_ok=False)
+    return Diagnosis("detector", ", ".join(f"{name} {value}" for name, value in description.items()))

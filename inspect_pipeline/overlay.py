@@ -19,8 +19,7 @@ from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.source import open_images
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats32, ImageArray
     from inspect_pipeline.store.store import Store
 
 _FRAME = """
@@ -47,7 +46,7 @@ class Overlay:
     topic: str
     frame_idx: int
     n_segments: int
-    image: NDArray[np.uint8]
+    image: ImageArray
 
 
 def draw_overlay(store: Store, flight: str, frame_idx: int | None = None) -> Overlay:
@@ -67,7 +66,7 @@ def draw_overlay(store: Store, flight: str, frame_idx: int | None = None) -> Ove
     )
 
 
-def draw_segments(image: NDArray[np.uint8], endpoints: NDArray[np.float32]) -> NDArray[np.uint8]:
+def draw_segments(image: ImageArray, endpoints: Floats32) -> ImageArray:
     """A BGR copy of an RGB image with (N, 4) segments in pixels."""
     canvas = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     thickness = max(1, round(max(image.shape) / 900))
@@ -79,7 +78,7 @@ def draw_segments(image: NDArray[np.uint8], endpoints: NDArray[np.float32]) -> N
     return canvas.astype(np.uint8, copy=False)
 
 
-def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
+def write_picture(path: Path, image: ImageArray) -> None:
     """Write a BGR image, whole or not at all, as the type its name says. Raises OutputError."""
     try:
         is_known, data = cv2.imencode(path.suffix, image)
@@ -94,7 +93,7 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
         raise OutputError(path, f"cannot be written ({error.strerror})", "name another file") from error
 
 
-def _read_image(store: Store, row: dict[str, Any]) -> NDArray[np.uint8]:
+def _read_image(store: Store, row: dict[str, Any]) -> ImageArray:
     """The image of the row of a frame: uint8 (height, width, 3) RGB."""
     record = store.load_flight(row["flight_id"])
     if record is None:

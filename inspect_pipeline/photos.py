@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import ImageArray
     from lsnet import Detections, Detector
 
 
@@ -28,7 +27,7 @@ class Photograph:
     """An image file with what was found in it; image is uint8 (height, width, 3) RGB."""
 
     path: Path
-    image: NDArray[np.uint8]
+    image: ImageArray
     detections: Detections
 
     def to_dict(self) -> dict[str, Any]:
@@ -53,7 +52,7 @@ def detect_in(
 ) -> Iterator[Photograph]:
     """Each photograph in turn, `batch_size` of them read at a time; `on_error` hears of unreadable ones."""
     for first in range(0, len(paths), batch_size):
-        read: list[tuple[Path, NDArray[np.uint8]]] = []
+        read: list[tuple[Path, ImageArray]] = []
         for path in paths[first : first + batch_size]:
             try:
                 read.append((path, load_rgb(path)))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from inspect_pipeline.annotations.annotator import FrameAnnotator
 from inspect_pipeline.config import model_record, run_metadata
-from inspect_pipeline.georeference.frames import FramePlacer
+from inspect_pipeline.georeference.frames import Georeferencer
 from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
@@ -89,7 +89,7 @@ def process(
     return _to_result(record, path, store, started)
 
 
-class _Seen(NamedTuple):
+class _ProcessedFrame(NamedTuple):
     """A frame with what was measured and found in it, None where it could not be decoded."""
 
     frame: Frame
@@ -103,7 +103,7 @@ def _look(
     detector: Detector,
     options: ProcessOptions,
     on_progress: Callable[[Progress], object],
-) -> Iterator[_Seen]:
+) -> Iterator[_ProcessedFrame]:
     """Every frame with its detections."""
     frames = iter_frames(recording, options.topics, options.every, options.start_ns, options.end_ns)
     n_frames, n_expected = 0, _expected_frames(recording, options)
@@ -113,12 +113,14 @@ def _look(
         on_progress(Progress(n_frames, n_expected))
 
 
-def _batched(frames: Iterable[Frame]) -> Iterator[list[_Seen]]:
+def _batched(frames: Iterable[Frame]) -> Iterator[list[_ProcessedFrame]]:
     """Decoded frames with their quality, a few at a time: bounded in number and in bytes."""
-    batch: list[_Seen] = []
+    batch: list[_ProcessedFrame] = []
     n_bytes = 0
     for frame in frames:
-        batch.append(_Seen(frame, measure_quality(frame.image) if frame.image is not None else None))
+        batch.append(
+            _ProcessedFrame(frame, measure_quality(frame.image) if frame.image is not None else None)
+        )
         n_bytes += frame.image.nbytes if frame.image is not None else 0
         if len(batch) == _BATCH_FRAMES or n_bytes >= _BATCH_BYTES:
             yield batch
@@ -127,7 +129,7 @@ def _batched(frames: Iterable[Frame]) -> Iterator[list[_Seen]]:
         yield batch
 
 
-def _one_ahead(batches: Iterator[list[_Seen]]) -> Iterator[list[_Seen]]:
+def _one_ahead(batches: Iterator[list[_ProcessedFrame]]) -> Iterator[list[_ProcessedFrame]]:
     """The same batches, the next one made in a thread while the current one is used."""
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, batches, None)
@@ -136,7 +138,7 @@ def _one_ahead(batches: Iterator[list[_Seen]]) -> Iterator[list[_Seen]]:
             yield batch
 
 
-def _detect(detector: Detector, batch: list[_Seen]) -> list[_Seen]:
+def _detect(detector: Detector, batch: list[_ProcessedFrame]) -> list[_ProcessedFrame]:
     """The batch with detections, at the mean time per image."""
     images = [seen.frame.image for seen in batch if seen.frame.image is not None]
     started = time.perf_counter()
@@ -161,11 +163,11 @@ def _write(
     folder: Path,
     options: ProcessOptions,
     metadata: dict[str, str],
-    seen_frames: Iterable[_Seen],
+    seen_frames: Iterable[_ProcessedFrame],
 ) -> _Written:
     """Write every frame to annotations and to tables in `folder`."""
     stamps = StampCheck()
-    placer = FramePlacer.of(recording, recording.select_cameras(options.topics), options.placing)
+    placer = Georeferencer.of(recording, recording.select_cameras(options.topics), options.placing)
     with (
         _annotations(recording, folder, options) as out,
         FlightWriter(folder, recording.flight_id) as tables,

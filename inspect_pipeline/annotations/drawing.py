@@ -8,8 +8,7 @@ import numpy as np
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Floats32
     from lsnet.segments import Detections
 
 THICKNESS_PX = 2.0
@@ -25,8 +24,8 @@ class Drawing(NamedTuple):
     """
 
     kind: int
-    points: NDArray[np.float32]
-    colours: NDArray[np.float64]
+    points: Floats32
+    colours: Floats
 
 
 def draw(detections: Detections | None) -> list[Drawing]:
@@ -46,7 +45,7 @@ def draw(detections: Detections | None) -> list[Drawing]:
     return [Drawing(LINE_LIST, np.zeros((0, 2), np.float32), np.zeros((0, 4)))]
 
 
-def _colours(scores: NDArray[np.float32]) -> NDArray[np.float64]:
+def _colours(scores: Floats32) -> Floats:
     """(N, 4) RGBA of (N,) scores."""
-    colours: NDArray[np.float64] = _FAINT_RGBA + scores[:, np.newaxis] * (_SURE_RGBA - _FAINT_RGBA)
+    colours: Floats = _FAINT_RGBA + scores[:, np.newaxis] * (_SURE_RGBA - _FAINT_RGBA)
     return colours

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
-from inspect_pipeline.batch.worker import Failure, Ready
+from inspect_pipeline.batch.worker import Ready, WorkerFailure
 from inspect_pipeline.errors import DetectorError, InspectError
 from inspect_pipeline.recording.types import ProcessResult
 
@@ -41,7 +41,7 @@ class Outcome:
     candidate: Candidate
     attempts: int
     seconds: float
-    result: ProcessResult | Failure
+    result: ProcessResult | WorkerFailure
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Worker(ABC):
 
     @abstractmethod
     def receive(self) -> Any:
-        """The message that waits, or a Failure "killed" when the worker has died."""
+        """The message that waits, or a WorkerFailure "killed" when the worker has died."""
 
     @abstractmethod
     def kill(self) -> None:
@@ -180,27 +180,29 @@ class Executor(ABC, Generic[AnyWorker]):
         self._workers += [self._start_worker() for _ in range(n_wanted)]
 
     def _messages(self) -> list[tuple[AnyWorker, Any]]:
-        """What workers have sent, a Failure for each that has died; waits a little for the first."""
+        """What workers have sent, a WorkerFailure for each that has died; waits a little for the first."""
         return [(worker, worker.receive()) for worker in self._with_message()]
 
-    def _late(self) -> Iterator[tuple[AnyWorker, Failure]]:
-        """A Failure for each worker whose time is up; one may be on its way as long as others are ready."""
+    def _late(self) -> Iterator[tuple[AnyWorker, WorkerFailure]]:
+        """Yield each worker whose time is up; one may still be starting while others are ready."""
         for worker in list(self._workers):
             if time.monotonic() < worker.deadline:
                 continue
             if worker.task:
-                yield worker, Failure("timeout", f"not done after {self._timeout_s:g} s")
+                yield worker, WorkerFailure("timeout", f"not done after {self._timeout_s:g} s")
             elif not any(other.is_ready for other in self._workers):
-                yield worker, Failure("timeout", "not ready in time")
+                yield worker, WorkerFailure("timeout", "not ready in time")
 
-    def _settle(self, worker: AnyWorker, message: Any) -> tuple[_Task | None, ProcessResult | Failure | None]:
+    def _settle(
+        self, worker: AnyWorker, message: Any
+    ) -> tuple[_Task | None, ProcessResult | WorkerFailure | None]:
         """The recording that a message is about, with its result; both None when it is about the worker."""
         if isinstance(message, InspectError):
             raise message
         if isinstance(message, Ready):
             self._welcome(worker, message)
             return None, None
-        if isinstance(message, Failure) and message.reason in ("killed", "timeout"):
+        if isinstance(message, WorkerFailure) and message.reason in ("killed", "timeout"):
             worker.kill()
             self._workers.remove(worker)
             if not worker.is_ready:
@@ -219,7 +221,7 @@ class Executor(ABC, Generic[AnyWorker]):
         worker.is_ready, worker.deadline = True, math.inf
         self._description, self._n_failed_starts = message.description, 0
 
-    def _count_failed_start(self, failure: Failure) -> None:
+    def _count_failed_start(self, failure: WorkerFailure) -> None:
         self._n_failed_starts += 1
         if self._n_failed_starts >= _MAX_FAILED_STARTS:
             raise DetectorError(f"no worker can start ({failure.detail}); run lsnet-pipe doctor")

@@ -16,7 +16,7 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.batch.executor import POLL_S, START_S, Executor, Worker, signals_blocked
-from inspect_pipeline.batch.worker import Failure
+from inspect_pipeline.batch.worker import WorkerFailure
 from inspect_pipeline.errors import DetectorError
 
 if TYPE_CHECKING:
@@ -61,11 +61,11 @@ class _Process(Worker):
         return True
 
     def receive(self) -> Any:
-        """The message that waits in the pipe, or a Failure when the pipe has ended."""
+        """The message that waits in the pipe, or a WorkerFailure when the pipe has ended."""
         try:
             return self.connection.recv()
         except (EOFError, OSError):
-            return Failure("killed", _explain_exit(self._process.wait()))
+            return WorkerFailure("killed", _explain_exit(self._process.wait()))
 
     def kill(self) -> None:
         """End the process; it is gone afterwards."""

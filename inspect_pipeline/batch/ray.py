@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.batch.executor import POLL_S, START_S, Executor, Worker, signals_blocked
-from inspect_pipeline.batch.worker import Failure, Service
+from inspect_pipeline.batch.worker import Service, WorkerFailure
 from inspect_pipeline.errors import DetectorError
 from inspect_pipeline.resources import app_version
 
@@ -93,12 +93,12 @@ class _Actor(Worker):
         return True
 
     def receive(self) -> Any:
-        """What the actor has returned, or a Failure when there is no such thing any more."""
+        """What the actor has returned, or a WorkerFailure when there is no such thing any more."""
         reference, self.pending = self.pending, None
         try:
             return self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
-            return Failure("killed", _explain(error))
+            return WorkerFailure("killed", _explain(error))
 
     def kill(self) -> None:
         """Have the process end; on another machine that may take a moment longer than this call."""
@@ -131,7 +131,9 @@ class RecordingActor:
     def ping(self) -> None:
         """Return, which a dead actor cannot."""
 
-    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError | TerrainError:
+    def process(
+        self, path: Path, run: RunRecord
+    ) -> ProcessResult | WorkerFailure | StoreError | TerrainError:
         """What became of a recording."""
         return self._service.process(path, run)
 

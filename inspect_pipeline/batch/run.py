@@ -20,7 +20,7 @@ from inspect_pipeline.batch.processed_files import ANNOTATED_COPY, StatCache
 from inspect_pipeline.batch.quarantine import Quarantine, QuarantineNote
 from inspect_pipeline.batch.ray import RayExecutor
 from inspect_pipeline.batch.stop_request import StopRequest
-from inspect_pipeline.batch.worker import Failure
+from inspect_pipeline.batch.worker import WorkerFailure
 from inspect_pipeline.config import start_described_run
 from inspect_pipeline.errors import InspectError, StoreError
 from inspect_pipeline.index import publish as index
@@ -61,14 +61,14 @@ class BatchOptions:
     keep_annotated_days: float | None = None
 
 
-class Report(Protocol):
+class BatchReport(Protocol):
     """Is told what happens, as it happens."""
 
     def __call__(self, event: str, **fields: object) -> None: ...
 
 
 def run_batch(
-    store: Store, job: Job, options: BatchOptions, report: Report, stop: StopRequest | None = None
+    store: Store, job: Job, options: BatchOptions, report: BatchReport, stop: StopRequest | None = None
 ) -> RunSummary:
     """Process what is new in the inboxes, one batch per store at a time; errors of a run are in its summary.
 
@@ -83,7 +83,7 @@ def run_batch(
     return summary
 
 
-def plan_batch(store: Store, job: Job, options: BatchOptions, report: Report) -> list[Candidate]:
+def plan_batch(store: Store, job: Job, options: BatchOptions, report: BatchReport) -> list[Candidate]:
     """The recordings that a batch would process now; nothing is written.
 
     Raises InboxError, DetectorError, StoreError.
@@ -114,7 +114,7 @@ class _Batch:
         options: BatchOptions,
         *,
         executor: Executor[Any],
-        report: Report,
+        report: BatchReport,
         stop: StopRequest,
     ) -> None:
         self._store, self._job, self._options = store, job, options
@@ -201,7 +201,7 @@ class _Batch:
 
     def _process(self, candidates: Iterable[Candidate]) -> None:
         for outcome in self._executor.run(candidates, self._run):
-            if isinstance(outcome.result, Failure):
+            if isinstance(outcome.result, WorkerFailure):
                 self._give_up(outcome, outcome.result)
             else:
                 self._count(outcome.candidate, outcome.result)
@@ -236,7 +236,7 @@ class _Batch:
         for warning in result.warnings:
             self._report("recording odd", path=str(candidate.path), warning=warning)
 
-    def _give_up(self, outcome: Outcome, failure: Failure) -> None:
+    def _give_up(self, outcome: Outcome, failure: WorkerFailure) -> None:
         """Put a recording into quarantine, unless it is no longer the one that was tried."""
         candidate = outcome.candidate
         if Candidate.at(candidate.path) != candidate:

@@ -70,7 +70,7 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class WorkerFailure:
     """Why there is no result of a recording.
 
     unreadable: refused, as it would be again; error: a fault of the program; killed: the worker died;
@@ -94,16 +94,18 @@ class Service:
         """The first message."""
         return Ready(self._detector.describe())
 
-    def process(self, path: Path, run: RunRecord) -> ProcessResult | Failure | StoreError | TerrainError:
+    def process(
+        self, path: Path, run: RunRecord
+    ) -> ProcessResult | WorkerFailure | StoreError | TerrainError:
         """What became of a recording; a store or a terrain model that cannot be used is not its fault."""
         try:
             return self._process(path, self._store, self._detector, self._options, run)
         except (StoreError, TerrainError) as error:
             return error
         except RecordingError as error:
-            return Failure("unreadable", str(error))
+            return WorkerFailure("unreadable", str(error))
         except Exception:  # whatever it is, it must not take the other recordings along
-            return Failure("error", traceback.format_exc(limit=-_TRACEBACK_FRAMES))
+            return WorkerFailure("error", traceback.format_exc(limit=-_TRACEBACK_FRAMES))
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from inspect_pipeline.commands.options_file import ConfigOption
 from inspect_pipeline.recording.types import ExecutorName
 
 if TYPE_CHECKING:
-    from inspect_pipeline.batch.run import BatchOptions, Report
+    from inspect_pipeline.batch.run import BatchOptions, BatchReport
     from inspect_pipeline.batch.worker import Job
     from inspect_pipeline.store.runs import RunSummary
     from inspect_pipeline.store.store import Store
@@ -161,7 +161,7 @@ def batch(
     raise typer.Exit(exit_code)
 
 
-def _print_plan(store: Store, job: Job, options: BatchOptions, report: Report) -> None:
+def _print_plan(store: Store, job: Job, options: BatchOptions, report: BatchReport) -> None:
     from inspect_pipeline.batch.run import plan_batch
 
     for candidate in plan_batch(store, job, options, report):
@@ -172,7 +172,7 @@ def _run(
     store: Store,
     job: Job,
     options: BatchOptions,
-    report: Report,
+    report: BatchReport,
     *,
     metrics: Path | None,
     on_finish: str | None,

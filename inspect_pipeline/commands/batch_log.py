@@ -15,7 +15,7 @@ from inspect_pipeline.commands.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from inspect_pipeline.batch.run import Report
+    from inspect_pipeline.batch.run import BatchReport
     from inspect_pipeline.commands.progress import Advance
 
 _LINES = {
@@ -54,7 +54,7 @@ def printable(text: str) -> str:
 
 
 @contextmanager
-def open_log(log_format: LogFormat) -> Iterator[Report]:
+def open_log(log_format: LogFormat) -> Iterator[BatchReport]:
     """A function to tell events to."""
     if log_format is LogFormat.json:
         yield _log_json

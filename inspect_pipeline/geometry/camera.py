@@ -19,9 +19,10 @@ from inspect_pipeline.messages.calibration import Intrinsics
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Floats = NDArray[np.float64]
+    from inspect_pipeline.arrays import Floats
+
 
 # Models whose coefficients OpenCV knows in this order, and how many it takes.
 _UNDISTORTED, _N_COEFFICIENTS = frozenset({"plumb_bob", "rational_polynomial"}), frozenset({4, 5, 8, 12, 14})

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import Floats, Ints, Mask
 
-    Floats = NDArray[np.float64]
 
 _A_M, _E2 = 6_378_137.0, 0.006_694_379_990_14  # WGS 84
 
@@ -45,7 +44,7 @@ class LocalMetres:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cameras:
+class CameraPoses:
     """Pinhole cameras of N frames, the optical axis through the middle of the image.
 
     positions (N, 3) in m; axes (N, 3, 3) are right, down and ahead; focal_px (N,); sizes (N, 2) are
@@ -57,8 +56,10 @@ class Cameras:
     focal_px: Floats
     sizes: Floats
 
-    def __getitem__(self, frames: NDArray[np.int64] | NDArray[np.bool_] | slice) -> Cameras:
-        return Cameras(self.positions[frames], self.axes[frames], self.focal_px[frames], self.sizes[frames])
+    def __getitem__(self, frames: Ints | Mask | slice) -> CameraPoses:
+        return CameraPoses(
+            self.positions[frames], self.axes[frames], self.focal_px[frames], self.sizes[frames]
+        )
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """(N, P, 2) pixels and (N, P) depths in m of (P, 3) points; pixels behind a camera mean nothing."""
@@ -68,7 +69,7 @@ class Cameras:
         scale = self.focal_px[:, np.newaxis] / np.where(np.abs(depths) < 1e-9, 1e-9, depths)
         return seen[..., :2] * scale[..., np.newaxis] + self.sizes[:, np.newaxis] / 2, depths
 
-    def rays(self, frames: NDArray[np.int64], pixels: Floats) -> Floats:
+    def rays(self, frames: Ints, pixels: Floats) -> Floats:
         """(P, 3) directions, with depth 1, of (P, 2) pixels of the (P,) frames."""
         offsets = (pixels - self.sizes[frames] / 2) / self.focal_px[frames, np.newaxis]
         ahead = np.column_stack((offsets, np.ones(len(pixels))))

@@ -19,9 +19,8 @@ from inspect_pipeline.errors import TerrainError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import Floats, Floats32
 
-    Floats = NDArray[np.float64]
 
 _MAX_CELLS = 1 << 26
 
@@ -33,7 +32,7 @@ class Elevation:
     to_cells: (2, 3), of homogeneous x, y of the model's coordinates, columns and rows from the first centre.
     """
 
-    heights_m: NDArray[np.float32]
+    heights_m: Floats32
     to_cells: Floats
     from_degrees: pyproj.Transformer
 

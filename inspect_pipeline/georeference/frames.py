@@ -1,6 +1,6 @@
 """Where each frame of a recording was taken, where it looks, and how finely it shows the ground.
 
-placer = FramePlacer.of(recording, cameras, options)
+placer = Georeferencer.of(recording, cameras, options)
 place = placer.place(frame)     # the columns of a row of `frames`
 """
 
@@ -29,8 +29,9 @@ from inspect_pipeline.messages.calibration import read_intrinsics
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from inspect_pipeline.arrays import Floats
     from inspect_pipeline.config import PlacingOptions
     from inspect_pipeline.geometry.terrain import Elevation
     from inspect_pipeline.georeference.poses import Pose, PoseTrack
@@ -38,13 +39,12 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel, Frame
 
-    Floats = NDArray[np.float64]
 
 _STRAIGHT_DOWN_DEG = -90.0
 
 
 @dataclass(frozen=True, slots=True)
-class FramePlace:
+class FramePose:
     """The columns of `frames` that say where and how it was taken; None where it is not known.
 
     attitude_source: "camera", "vehicle" for a camera taken to look straight down out of the vehicle, "nadir"
@@ -70,7 +70,7 @@ class FramePlace:
 
 
 @dataclass(frozen=True, slots=True)
-class FramePlacer:
+class Georeferencer:
     """Places the frames of a recording by its poses and its cameras' lenses, by channel id.
 
     The ground is flat, or rises and falls with the terrain from where the recording begins.
@@ -84,7 +84,7 @@ class FramePlacer:
     @classmethod
     def of(
         cls, recording: Recording, cameras: Iterable[CameraChannel], options: PlacingOptions
-    ) -> FramePlacer:
+    ) -> Georeferencer:
         """Read poses, lenses and terrain.
 
         Raises RecordingError when chunks cannot be read of a `strict` recording, TerrainError.
@@ -94,17 +94,17 @@ class FramePlacer:
         terrain = load_elevation(options.terrain) if options.terrain else None
         return cls(read_poses(recording), known, options, terrain)
 
-    def place(self, frame: Frame) -> FramePlace:
+    def place(self, frame: Frame) -> FramePose:
         """The place of a frame by the last pose known at its log time."""
         pose, lens = self.poses.at(frame.log_time_ns), self._lens(frame)
         focal_px = lens.focal_px[0] if lens else None
         if pose is None:
-            return FramePlace(focal_px=focal_px)
+            return FramePose(focal_px=focal_px)
         turns, source = _camera_turns(pose)
         height_m = self._height_m(pose)
         sight = self._sight(pose, turns, height_m, lens)
         gsd_m = sight.distance_m / focal_px if sight and focal_px else None
-        return FramePlace(
+        return FramePose(
             lat_deg=pose.latitude_deg,
             lon_deg=pose.longitude_deg,
             alt_m=pose.altitude_m,

@@ -23,6 +23,7 @@ from inspect_pipeline.recording.frames import iter_channel_messages
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from inspect_pipeline.arrays import Floats
     from inspect_pipeline.messages.pose import Parser
     from inspect_pipeline.recording.reader import Recording
 
@@ -51,21 +52,21 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class PoseSamples:
     """Values over time: times_ns (N,) uint64 in order, values (N, k) float64."""
 
     times_ns: NDArray[np.uint64] = field(default_factory=lambda: np.zeros(0, np.uint64))
-    values: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def last_at(self, time_ns: int) -> Sample | None:
+    def last_at(self, time_ns: int) -> PoseSample | None:
         """The last sample that is not after `time_ns`."""
         i = int(np.searchsorted(self.times_ns, np.uint64(time_ns), side="right")) - 1
         if i < 0:
             return None
-        return Sample(self.values[i].tolist(), (time_ns - int(self.times_ns[i])) / 1e6)
+        return PoseSample(self.values[i].tolist(), (time_ns - int(self.times_ns[i])) / 1e6)
 
 
-class Sample(NamedTuple):
+class PoseSample(NamedTuple):
     """The values of a moment, and how long ago it was."""
 
     values: list[float]
@@ -80,10 +81,10 @@ class PoseTrack:
     roll_deg. camera: the same, and 1 where the yaw counts from that of the vehicle. heights: height_m.
     """
 
-    positions: Samples
-    vehicle: Samples
-    camera: Samples
-    heights: Samples = field(default_factory=Samples)
+    positions: PoseSamples
+    vehicle: PoseSamples
+    camera: PoseSamples
+    heights: PoseSamples = field(default_factory=PoseSamples)
 
     def at(self, time_ns: int) -> Pose | None:
         """The pose at a log time; None before the first message, and without any."""
@@ -108,17 +109,17 @@ class PoseTrack:
             height_m=height.values[0] if height else None,
         )
 
-    def _attitude_at(self, time_ns: int) -> tuple[Sample | None, Literal["camera", "vehicle"] | None]:
+    def _attitude_at(self, time_ns: int) -> tuple[PoseSample | None, Literal["camera", "vehicle"] | None]:
         """The attitude of the camera against north, else that of the vehicle."""
         vehicle, camera = self.vehicle.last_at(time_ns), self.camera.last_at(time_ns)
         if camera:
             yaw_deg, pitch_deg, roll_deg, is_yaw_relative = camera.values
             if not is_yaw_relative:
-                return Sample([yaw_deg, pitch_deg, roll_deg], camera.age_ms), "camera"
+                return PoseSample([yaw_deg, pitch_deg, roll_deg], camera.age_ms), "camera"
             if vehicle:
                 yaw_deg = wrapped_deg(vehicle.values[0] + yaw_deg)
                 age_ms = max(camera.age_ms, vehicle.age_ms)
-                return Sample([yaw_deg, pitch_deg, roll_deg], age_ms), "camera"
+                return PoseSample([yaw_deg, pitch_deg, roll_deg], age_ms), "camera"
         return vehicle, "vehicle" if vehicle else None
 
 
@@ -150,11 +151,11 @@ class _Rows:
         self._times_ns.append(time_ns)
         self._values.extend(values)
 
-    def to_samples(self) -> Samples:
+    def to_samples(self) -> PoseSamples:
         if not self._times_ns:
-            return Samples()
+            return PoseSamples()
         values = np.frombuffer(self._values, np.float64)
-        return Samples(np.frombuffer(self._times_ns, np.uint64), values.reshape(len(self), -1))
+        return PoseSamples(np.frombuffer(self._times_ns, np.uint64), values.reshape(len(self), -1))
 
 
 _RowsByChannel = dict[int, _Rows]
@@ -195,6 +196,6 @@ def _read_kinds(recording: Recording, parsers: dict[int, Parser]) -> dict[str, _
     return kinds
 
 
-def _longest(rows_by_channel: _RowsByChannel) -> Samples:
+def _longest(rows_by_channel: _RowsByChannel) -> PoseSamples:
     """The samples of the channel with most of them: two receivers in turn would jump to and fro."""
     return max(rows_by_channel.values(), key=len, default=_Rows()).to_samples()

@@ -22,8 +22,9 @@ from inspect_pipeline.images.video import can_decode
 from inspect_pipeline.messages.image import ImageError, ImageMessage, is_image, parse
 
 if TYPE_CHECKING:
-    from numpy.typing import DTypeLike, NDArray
+    from numpy.typing import DTypeLike
 
+    from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.messages.image import RawLayout
 
 __all__ = ["ImageError", "ImageMessage", "decode", "is_image", "parse", "refusal"]
@@ -86,7 +87,7 @@ def refusal(message: ImageMessage, topic: str) -> str | None:
     return None if encoding in _RAW else f"its pixel encoding {encoding!r} is not known"
 
 
-def decode(message: ImageMessage) -> NDArray[np.uint8]:
+def decode(message: ImageMessage) -> ImageArray:
     """The pixels as stored, EXIF orientation ignored: uint8 (height, width, 3) RGB. Raises ImageError."""
     if not message.data:
         raise ImageError("the image is empty")
@@ -100,7 +101,7 @@ def decode(message: ImageMessage) -> NDArray[np.uint8]:
         raise ImageError("the image cannot be decoded") from error
 
 
-def _decode_compressed(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _decode_compressed(data: ImageArray) -> ImageArray:
     n_pixels = _claimed_pixels(memoryview(data.data))
     if n_pixels > _MAX_PIXELS:
         raise ImageError(f"the image claims more than {_MAX_PIXELS >> 20} megapixels")
@@ -157,7 +158,7 @@ def _claimed_to_pillow(view: memoryview) -> int:
         return 0
 
 
-def _decode_raw(encoding: str, layout: RawLayout, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _decode_raw(encoding: str, layout: RawLayout, data: ImageArray) -> ImageArray:
     raw = _RAW.get(encoding)
     if raw is None:
         raise ImageError(f"the pixel encoding {encoding!r} is not known")
@@ -172,7 +173,7 @@ def _decode_raw(encoding: str, layout: RawLayout, data: NDArray[np.uint8]) -> ND
     return np.ascontiguousarray(image, np.uint8)
 
 
-def _rows(layout: RawLayout, data: NDArray[np.uint8], n_rows: int, row_bytes: int) -> NDArray[np.uint8]:
+def _rows(layout: RawLayout, data: ImageArray, n_rows: int, row_bytes: int) -> ImageArray:
     """The rows of a raw image without their padding: (n_rows, row_bytes). The last row may lack its own."""
     step_bytes = layout.step_bytes or row_bytes
     n_bytes = (n_rows - 1) * step_bytes + row_bytes

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import ImageArray
 
 _MAX_SIDE_PX = 1024
 
@@ -22,14 +22,14 @@ class ImageQuality:
     mean_luma: float
 
 
-def measure_quality(image: NDArray[np.uint8]) -> ImageQuality:
+def measure_quality(image: ImageArray) -> ImageQuality:
     """The quality of a uint8 RGB image, shrunk to a longer side of 1024 px when it is larger."""
     luma = cv2.cvtColor(_shrink(image), cv2.COLOR_RGB2GRAY)
     laplacian = cv2.Laplacian(luma, cv2.CV_32F)
     return ImageQuality(sharpness=float(laplacian.var()), mean_luma=float(luma.mean()))
 
 
-def _shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _shrink(image: ImageArray) -> ImageArray:
     height, width = image.shape[:2]
     scale = _MAX_SIDE_PX / max(height, width)
     if scale >= 1:

@@ -19,8 +19,8 @@ from inspect_pipeline.messages.image import ImageError
 
 if TYPE_CHECKING:
     import av
-    from numpy.typing import NDArray
 
+    from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.messages.image import ImageMessage
 
 _NAL_HEAD = re.compile(rb"\x00\x00\x01([\s\S])")  # the first byte behind a start code of Annex B
@@ -84,7 +84,7 @@ class VideoDecoder:
         """Whether it is known of a wanted picture what it is, or that there is none."""
         return number in self._settled
 
-    def take(self, number: int) -> NDArray[np.uint8]:
+    def take(self, number: int) -> ImageArray:
         """A wanted picture: uint8 (height, width, 3) RGB. Raises ImageError when there is none."""
         self._wanted.discard(number)
         found = self._settled.pop(number, _NO_PICTURE)

@@ -32,7 +32,7 @@ ORDER BY flight_id, kind, span_id
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class FailedCheck:
     """A rule that a flight fails; anomaly_id is None for coverage."""
 
     flight_id: str
@@ -41,7 +41,7 @@ class Failure:
     anomaly_id: str | None
 
 
-def check_flights(store: Store, flight_ids: Sequence[str], rules_path: Path | None) -> list[Failure]:
+def check_flights(store: Store, flight_ids: Sequence[str], rules_path: Path | None) -> list[FailedCheck]:
     """What flights of the index fail, by the rules of the store or those of a file.
 
     With a file everything is computed again, which the index does not keep. Raises RulesError, StoreError.
@@ -60,16 +60,16 @@ def check_flights(store: Store, flight_ids: Sequence[str], rules_path: Path | No
     ]
 
 
-def _odd(rows: Sequence[dict[str, Any]], dismissed: set[str], rules: Rules) -> Iterator[Failure]:
+def _odd(rows: Sequence[dict[str, Any]], dismissed: set[str], rules: Rules) -> Iterator[FailedCheck]:
     for row in rows:
         if row["kind"] in rules.check["fail_on"] and row["anomaly_id"] not in dismissed:
-            yield Failure(row["flight_id"], row["kind"], row["reason"], row["anomaly_id"])
+            yield FailedCheck(row["flight_id"], row["kind"], row["reason"], row["anomaly_id"])
 
 
-def _unseen(rows: Sequence[dict[str, Any]], rules: Rules) -> Iterator[Failure]:
+def _unseen(rows: Sequence[dict[str, Any]], rules: Rules) -> Iterator[FailedCheck]:
     for row in rows:
         rule = f"min_{row['kind']}_share"
         if row["share"] is not None and row["share"] < rules.check.get(rule, 0.0):
             what = f"of span {row['span_id']} seen" if row["span_id"] else "of the frames are usable"
             limit = f"{100 * rules.check[rule]:.1f} % is asked for"
-            yield Failure(row["flight_id"], rule, f"{100 * row['share']:.1f} % {what}, {limit}", None)
+            yield FailedCheck(row["flight_id"], rule, f"{100 * row['share']:.1f} % {what}, {limit}", None)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.georeference.frames import FramePlace
+from inspect_pipeline.georeference.frames import FramePose
 from inspect_pipeline.tracking.tracker import TrackRow
 
 if TYPE_CHECKING:
@@ -16,12 +16,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from inspect_pipeline.arrays import Floats32, Ints32
     from lsnet.segments import Lines, Segments
 
 Columns = dict[str, "NDArray[Any]"]
 
 _PLACE_DTYPES = {
-    field.name: object if field.name == "attitude_source" else np.float64 for field in fields(FramePlace)
+    field.name: object if field.name == "attitude_source" else np.float64 for field in fields(FramePose)
 }
 _FRAME_DTYPES: dict[str, type] = {
     "channel_id": np.int32,
@@ -47,7 +48,7 @@ class FoundSegments(NamedTuple):
     channel_id: int
     frame_idx: int
     segments: Segments
-    line_of: NDArray[np.int32]
+    line_of: Ints32
 
 
 class FoundLines(NamedTuple):
@@ -56,10 +57,10 @@ class FoundLines(NamedTuple):
     channel_id: int
     frame_idx: int
     lines: Lines
-    track_ids: NDArray[np.int32]
+    track_ids: Ints32
 
 
-def frame_columns(rows: Sequence[tuple[Any, ...]], places: Sequence[FramePlace]) -> Columns:
+def frame_columns(rows: Sequence[tuple[Any, ...]], places: Sequence[FramePose]) -> Columns:
     """rows: channel_id to n_lines in the order of the columns, None where a value is not known."""
     whole = [(*row, *astuple(place)) for row, place in zip(rows, places, strict=True)]
     return {
@@ -122,7 +123,7 @@ def track_columns(tracks: Sequence[tuple[int, TrackRow]]) -> Columns:
     return {name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)}
 
 
-def _chord_columns(endpoints: NDArray[np.float32]) -> Columns:
+def _chord_columns(endpoints: Floats32) -> Columns:
     """x1 to y2 and the angle in degrees, in [0, 180): rounding to float32 may give 180, which is 0."""
     x1, y1, x2, y2 = (column.copy() for column in endpoints.T)
     angle_deg = np.degrees(np.arctan2(y2 - y1, x2 - x1)).astype(np.float32) % np.float32(180)

@@ -15,7 +15,7 @@ import duckdb
 import numpy as np
 
 from inspect_pipeline.errors import StoreError
-from inspect_pipeline.georeference.frames import FramePlace
+from inspect_pipeline.georeference.frames import FramePose
 from inspect_pipeline.index.columns import (
     NULLABLE_FLOATS,
     FoundLines,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 ROW_TABLES = ("frames", "segments", "lines", "tracks")
 
 _FLUSH_ROWS = 65_536
-_NOWHERE = FramePlace()
+_NOWHERE = FramePose()
 _CONFIG: dict[str, str | bool | int | float | list[str]] = {
     "memory_limit": "96MB",
     "threads": "1",
@@ -128,7 +128,7 @@ class FlightWriter:
         self._folder = folder
         self._flight_id = flight_id
         self._frames: list[tuple[Any, ...]] = []
-        self._places: list[FramePlace] = []
+        self._places: list[FramePose] = []
         self._segments: list[FoundSegments] = []
         self._lines: list[FoundLines] = []
         self._tracker = FlightTracker()
@@ -155,7 +155,7 @@ class FlightWriter:
         infer_ms: float | None = None,
         sharpness: float | None = None,
         mean_luma: float | None = None,
-        place: FramePlace = _NOWHERE,
+        place: FramePose = _NOWHERE,
     ) -> None:
         """Add a frame with what was found in it, in source pixels, or a bad frame with None.
 

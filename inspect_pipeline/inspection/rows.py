@@ -8,18 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.geometry.local_frame import Cameras, LocalMetres, camera_axes
+from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres, camera_axes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Ints, Mask
     from inspect_pipeline.inspection.rules import Rules
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
 
 NO_TRACK = -1
 
@@ -191,13 +187,13 @@ def _take(lines: LineRows, chosen: Ints, frames: Ints) -> LineRows:
     return LineRows(frames, lines.track[chosen], first, points, lines.frame[chosen])
 
 
-def place_cameras(frames: FrameRows, origin: LocalMetres, rules: Rules) -> Cameras:
+def place_cameras(frames: FrameRows, origin: LocalMetres, rules: Rules) -> CameraPoses:
     """The cameras of frames; NaN where the pose or the lens is not known, is assumed, or the pose too old."""
     is_old = ~frames.is_turn_known | (frames.pose_age_ms > rules.coverage["max_pose_age_ms"])
     ground = origin.to_metres(frames.lat_deg, frames.lon_deg)
     positions = np.column_stack((ground, frames.height_m))
     positions[is_old] = np.nan
-    return Cameras(
+    return CameraPoses(
         positions=positions,
         axes=camera_axes(frames.cam_yaw_deg, frames.cam_pitch_deg, frames.cam_roll_deg),
         focal_px=frames.focal_px.astype(np.float64),

@@ -17,17 +17,13 @@ from inspect_pipeline.inspection.span_view import cut_to_sight, is_near, make_ax
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from inspect_pipeline.geometry.local_frame import Cameras, LocalMetres
+    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres
     from inspect_pipeline.inspection.rows import CameraRows, LineRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_view import SpanAxis, SpanView
     from inspect_pipeline.inspection.spans import Span
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
 
 _SAME_PX = 8.0  # between two lines that are one
 _FAR_APART_M = 1000.0
@@ -46,7 +42,7 @@ class SpanEvidence:
     first_row: int
     axis: SpanAxis
     view: SpanView
-    cameras: Cameras
+    cameras: CameraPoses
     lines_track: Ints
     counts: Floats
     level: Floats
@@ -111,7 +107,7 @@ def _without_echoes(view: SpanView, lines: LineRows) -> SpanView:
     return view.select(~is_echo)
 
 
-def _shows_all(axis: SpanAxis, view: SpanView, cameras: Cameras, rules: Rules) -> Mask:
+def _shows_all(axis: SpanAxis, view: SpanView, cameras: CameraPoses, rules: Rules) -> Mask:
     """(N, B) whether a frame shows a bin as far to both sides as there are lines in any."""
     if not len(view.across_m):
         return np.isfinite(view.gsd_m)

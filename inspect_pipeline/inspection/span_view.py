@@ -12,16 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from inspect_pipeline.geometry.local_frame import Cameras, LocalMetres
+    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres
     from inspect_pipeline.inspection.rows import LineRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
-
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
 
 
 _CELLS_AT_A_TIME = 1 << 18  # frames times places, so that memory does not grow with the flight
@@ -82,7 +77,7 @@ class Sight:
     """
 
     rows: slice
-    cameras: Cameras
+    cameras: CameraPoses
     lines: LineRows
 
 
@@ -112,7 +107,7 @@ def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
     )
 
 
-def visible_gsd_m(cameras: Cameras, points: Floats, margin_px: float = 0.0) -> Floats:
+def visible_gsd_m(cameras: CameraPoses, points: Floats, margin_px: float = 0.0) -> Floats:
     """(N, P): metres per pixel where a camera sees a point, else NaN."""
     gsd_m = np.full((len(cameras.positions), len(points)), np.nan)
     for start in range(0, len(points), _POINTS_AT_A_TIME):
@@ -123,7 +118,7 @@ def visible_gsd_m(cameras: Cameras, points: Floats, margin_px: float = 0.0) -> F
     return gsd_m
 
 
-def _may_see(cameras: Cameras, points: Floats) -> Ints:
+def _may_see(cameras: CameraPoses, points: Floats) -> Ints:
     """The rows of cameras whose pyramid of sight meets a ball around (P, 3) points."""
     middle, radius_m = _ball(points)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -134,7 +129,7 @@ def _may_see(cameras: Cameras, points: Floats) -> Ints:
     return np.flatnonzero(is_known & ~beyond.any(axis=1) & (seen[:, 2] > -radius_m))
 
 
-def _gsd_m(cameras: Cameras, points: Floats, margin_px: float) -> Floats:
+def _gsd_m(cameras: CameraPoses, points: Floats, margin_px: float) -> Floats:
     """What `visible_gsd_m` says, computed for each camera and point."""
     with np.errstate(invalid="ignore"):
         pixels, depths = cameras.project(points)
@@ -145,7 +140,7 @@ def _gsd_m(cameras: Cameras, points: Floats, margin_px: float) -> Floats:
     return gsd_m
 
 
-def cut_to_sight(points: Floats, cameras: Cameras, lines: LineRows) -> Sight:
+def cut_to_sight(points: Floats, cameras: CameraPoses, lines: LineRows) -> Sight:
     """What of a flight is about (P, 3) points: frames that see any of them, and those of their lines."""
     step = max(1, _CELLS_AT_A_TIME // max(len(points), 1))
     seen = [
@@ -162,7 +157,7 @@ def cut_to_sight(points: Floats, cameras: Cameras, lines: LineRows) -> Sight:
 
 
 def view_span(
-    axis: SpanAxis, cameras: Cameras, lines: LineRows, rules: Rules, margin_px: float = 0.0
+    axis: SpanAxis, cameras: CameraPoses, lines: LineRows, rules: Rules, margin_px: float = 0.0
 ) -> SpanView:
     """What the frames show of a span, and which lines run along it."""
     limits = rules.coverage
@@ -173,7 +168,7 @@ def view_span(
     return SpanView(gsd_m, frame[is_near], line[is_near], bins[is_near], across_m[is_near])
 
 
-def to_plane(axis: SpanAxis, cameras: Cameras, lines: LineRows) -> Floats:
+def to_plane(axis: SpanAxis, cameras: CameraPoses, lines: LineRows) -> Floats:
     """(P, 2) metres along and across of the points of lines; NaN for what is not below the camera."""
     owner = np.repeat(lines.picture, np.diff(lines.first))
     with np.errstate(invalid="ignore", divide="ignore"):

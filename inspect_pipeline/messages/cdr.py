@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import RealArray
 
 _LITTLE_ENDIAN = b"\0\1\0\0"
 _MAX_SECONDS = 2**31 - 1
@@ -47,13 +47,13 @@ class CdrWriter:
         self.number("i", min(seconds, _MAX_SECONDS))
         self.number("I", nanoseconds)
 
-    def numbers(self, values: NDArray[np.floating], dtype: str) -> None:
+    def numbers(self, values: RealArray, dtype: str) -> None:
         """Numbers of one type, one after another."""
         if values.size:
             self._align(np.dtype(dtype).itemsize)
             self._body += values.astype(dtype).tobytes()
 
-    def sequence(self, rows: NDArray[np.floating], dtype: str) -> None:
+    def sequence(self, rows: RealArray, dtype: str) -> None:
         """A sequence of messages made of numbers of one type: (N, number of fields)."""
         self.number("I", len(rows))
         self.numbers(rows, dtype)

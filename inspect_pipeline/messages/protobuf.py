@@ -10,7 +10,8 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 if TYPE_CHECKING:
     from google.protobuf.descriptor import FileDescriptor
-    from numpy.typing import NDArray
+
+    from inspect_pipeline.arrays import RealArray
 
 # Wire types. A field's tag is its number and its wire type.
 VARINT, DOUBLE, BYTES, FLOAT = 0, 1, 2, 5
@@ -47,7 +48,7 @@ class Elements:
         for i, name in enumerate(self._columns, 1):
             self._template[f"{name}_tag"] = i << 3 | wire_type
 
-    def encode(self, values: NDArray[np.floating]) -> bytes:
+    def encode(self, values: RealArray) -> bytes:
         """The elements with the (N, n_fields) `values`."""
         rows = np.full(len(values), self._template)
         for column, name in enumerate(self._columns):

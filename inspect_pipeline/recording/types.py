@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import ImageArray
 
 
 WriteMode = Literal["copy", "sidecar", "none"]  # where annotations go
@@ -56,7 +55,7 @@ class Frame:
     publish_time_ns: int
     stamp_ns: int
     frame_id: str
-    image: NDArray[np.uint8] | None
+    image: ImageArray | None
     error: str | None = None
 
 

@@ -13,11 +13,9 @@ from inspect_pipeline.simulation.power_line import SPAN_M, cross, move_stretch, 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats
     from inspect_pipeline.simulation.power_line import PowerLine
 
-    Floats = NDArray[np.float64]
 
 _MIDDLE_SHARE = (0.3, 0.7)  # of a span: where stretches begin or lie
 _GAP_M = (3.0, 5.0)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import Floats, Floats32, ImageArray, RealArray
 
 TEXEL_M = 0.04
 TILE_TEXELS = (1024, 4096)  # y, x
@@ -20,7 +20,7 @@ _ROAD_X_M, _ROAD_HALF_M = 62.0, 2.9
 _TRACK_Y_M, _RUT_M = 8.5, 0.8
 
 
-def draw_ground(rng: np.random.Generator) -> NDArray[np.uint8]:
+def draw_ground(rng: np.random.Generator) -> ImageArray:
     """The RGB picture of a tile of ground: row i is y = i * TEXEL_M, column j is x = j * TEXEL_M."""
     y, x = (axis * np.float32(TEXEL_M) for axis in np.ogrid[: TILE_TEXELS[0], : TILE_TEXELS[1]])
     broad, tufts, blades = (_noise(rng, *band) for band in ((4.0, 60.0), (0.4, 4.0), (0.06, 0.5)))
@@ -35,7 +35,7 @@ def draw_ground(rng: np.random.Generator) -> NDArray[np.uint8]:
     return np.clip(ground, 0, 255).astype(np.uint8)
 
 
-def lay_photograph(photograph: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def lay_photograph(photograph: ImageArray) -> ImageArray:
     """A tile of ground of an RGB photograph from above, as wide as a drawn one, mirrored so that it repeats.
 
     Half of the tile's width is the width of the photograph, of which no more than a square is taken.
@@ -49,12 +49,12 @@ def lay_photograph(photograph: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.concatenate((beside, beside[::-1])).astype(np.uint8, copy=False)
 
 
-def ground_to_texels() -> NDArray[np.float64]:
+def ground_to_texels() -> Floats:
     """(3, 3) from homogeneous x, y in m to homogeneous texels; OpenCV counts from the centre of the first."""
     return np.array([[1 / TEXEL_M, 0, -0.5], [0, 1 / TEXEL_M, -0.5], [0, 0, 1]])
 
 
-def _noise(rng: np.random.Generator, shortest_m: float, longest_m: float) -> NDArray[np.float32]:
+def _noise(rng: np.random.Generator, shortest_m: float, longest_m: float) -> Floats32:
     """Noise of mean 0 and variance 1 with wavelengths in a band, as strong at each octave; it tiles."""
     coarse = max(1, int(shortest_m / (8 * TEXEL_M)))  # texels in one that is fine enough for the band
     coarse = 1 << coarse.bit_length() - 1
@@ -70,7 +70,7 @@ def _noise(rng: np.random.Generator, shortest_m: float, longest_m: float) -> NDA
     return _enlarge(noise / noise.std(), coarse)
 
 
-def _enlarge(noise: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+def _enlarge(noise: Floats32, factor: int) -> Floats32:
     """Noise that tiles, with `factor` times as many texels each way."""
     if factor == 1:
         return noise
@@ -82,12 +82,12 @@ def _enlarge(noise: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
 
 
 def _add_road(
-    ground: NDArray[np.float32],
-    x: NDArray[np.float32],
-    y: NDArray[np.float32],
-    tufts: NDArray[np.float32],
-    blades: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    ground: Floats32,
+    x: Floats32,
+    y: Floats32,
+    tufts: Floats32,
+    blades: Floats32,
+) -> Floats32:
     """An asphalt road across the line, with worn edges and a dashed middle."""
     off_m = np.abs(x - _ROAD_X_M - 3 * np.sin(2 * np.pi * y / _TILE_Y_M))
     ragged_m = off_m + 0.12 * tufts + 0.05 * blades
@@ -99,35 +99,35 @@ def _add_road(
 
 
 def _add_track(
-    ground: NDArray[np.float32],
-    x: NDArray[np.float32],
-    y: NDArray[np.float32],
-    tufts: NDArray[np.float32],
-    blades: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    ground: Floats32,
+    x: Floats32,
+    y: Floats32,
+    tufts: Floats32,
+    blades: Floats32,
+) -> Floats32:
     """The two ruts of a field track beside the line."""
     off_m = np.abs(y - _TRACK_Y_M - 1.4 * np.sin(4 * np.pi * x / _TILE_X_M))
     rut_m = np.abs(off_m - _RUT_M) + 0.08 * tufts + 0.05 * blades
     return _mix(ground, _GRAVEL, _step(-rut_m, -0.5, -0.1) * 0.85)
 
 
-def _flat(colour: tuple[int, int, int]) -> NDArray[np.float32]:
+def _flat(colour: tuple[int, int, int]) -> Floats32:
     return np.full((*TILE_TEXELS, 3), colour, np.float32)
 
 
 def _mix(
-    below: NDArray[np.float32],
-    above: tuple[int, int, int] | NDArray[np.float32],
-    share: NDArray[np.floating],
-) -> NDArray[np.float32]:
+    below: Floats32,
+    above: tuple[int, int, int] | Floats32,
+    share: RealArray,
+) -> Floats32:
     """`below` covered by `above` to a share in [0, 1] of each texel."""
     clipped = np.clip(share, 0, 1)[..., np.newaxis].astype(np.float32)
-    mixed: NDArray[np.float32] = below + (np.asarray(above, np.float32) - below) * clipped
+    mixed: Floats32 = below + (np.asarray(above, np.float32) - below) * clipped
     return mixed
 
 
-def _step(value: NDArray[np.floating], low: float, high: float) -> NDArray[np.floating]:
+def _step(value: RealArray, low: float, high: float) -> RealArray:
     """0 below `low`, 1 above `high`, smooth between."""
-    t: NDArray[np.floating] = np.clip((value - low) / (high - low), 0, 1)
+    t: RealArray = np.clip((value - low) / (high - low), 0, 1)
     t *= t * (3 - 2 * t)
     return t

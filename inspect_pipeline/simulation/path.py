@@ -11,7 +11,7 @@ from inspect_pipeline.simulation.options import FlightKind
 from inspect_pipeline.simulation.power_line import SPAN_M
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import Floats
 
 SPEED_M_S = 5.0
 _HEIGHT_M, _SIDE_M = 23.0, -7.0
@@ -22,7 +22,7 @@ _LOSS_RAD, _LOSS_SHARE, _LOSS_TURN_S = np.deg2rad(-75), (0.4, 0.6), 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class DronePose:
     """Where the drone is, in m, and where its camera looks; yaw and heading are turned left from x."""
 
     position: tuple[float, float, float]
@@ -38,9 +38,9 @@ class Path:
     kind: FlightKind
     seconds: float
     raised_m: float
-    phases: NDArray[np.float64]
+    phases: Floats
 
-    def at(self, t: float) -> Pose:
+    def at(self, t: float) -> DronePose:
         """The pose at a time in s since the start."""
         if self.kind == FlightKind.ORBIT:
             return self._orbit(t)
@@ -52,10 +52,10 @@ class Path:
             return replace(pose, yaw_rad=pose.yaw_rad + _LOSS_RAD * self._share_lost(t))
         return pose
 
-    def _beside(self, t: float, x: float) -> Pose:
+    def _beside(self, t: float, x: float) -> DronePose:
         """Beside and above the line, swaying a little."""
         a, b, c, d = self.phases
-        return Pose(
+        return DronePose(
             position=(
                 x,
                 _SIDE_M + 0.5 * np.sin(0.5 * t + a),
@@ -66,7 +66,7 @@ class Path:
             pitch_rad=_DOWN_RAD + np.deg2rad(1.5) * np.sin(0.6 * t + d),
         )
 
-    def _orbit(self, t: float) -> Pose:
+    def _orbit(self, t: float) -> DronePose:
         """Round a structure, which stays in the middle."""
         around = _ORBIT_RAD_S * t + self.phases[0]
         radius_m = _ORBIT_RADIUS_M + self.raised_m
@@ -74,7 +74,7 @@ class Path:
         above_m = _HEIGHT_M + self.raised_m + 0.4 * np.sin(0.37 * t) - _ORBIT_CENTRE[2]
         x, y, z = _ORBIT_CENTRE + np.array([*away, above_m])
         inwards = around + np.pi
-        return Pose((x, y, z), inwards, inwards, float(np.arctan2(above_m, radius_m)))
+        return DronePose((x, y, z), inwards, inwards, float(np.arctan2(above_m, radius_m)))
 
     def _share_lost(self, t: float) -> float:
         """How far the camera is turned away: 0 at first, 1 for a part of the flight, 0 again."""

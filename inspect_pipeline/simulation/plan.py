@@ -16,14 +16,12 @@ from inspect_pipeline.simulation.scene import Gaze, look, near
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Ints, Mask
     from inspect_pipeline.simulation.faults import PlantedFault, TimedFault
     from inspect_pipeline.simulation.options import SimulationOptions
-    from inspect_pipeline.simulation.path import Pose
-    from inspect_pipeline.simulation.scene import Camera
+    from inspect_pipeline.simulation.path import DronePose
+    from inspect_pipeline.simulation.scene import SimulatedCamera
 
-    Floats = NDArray[np.float64]
 
 START_NS = 1_777_887_000 * 10**9  # 2026-05-04 09:30 UTC
 POSE_PERIOD_NS = 100_000_000
@@ -77,11 +75,11 @@ class FlightPlan:
         """What the camera's clock says at a time."""
         return START_NS + time_ns + round(self.sum_since(FaultKind.CLOCK_STEP, time_ns) * 1e9)
 
-    def pose(self, time_ns: int) -> Pose:
+    def pose(self, time_ns: int) -> DronePose:
         """Where the drone is and looks."""
         return self.path.at(time_ns / 1e9)
 
-    def camera(self, time_ns: int) -> Camera:
+    def camera(self, time_ns: int) -> SimulatedCamera:
         """The camera; one that slipped in its mount is rolled, which the pose does not say."""
         pose = self.pose(time_ns)
         roll_rad = self.sum_since(FaultKind.ORIENTATION_JUMP, time_ns)
@@ -98,13 +96,13 @@ class FlightPlan:
         times_ns = range(0, last.time_ns + 1, POSE_PERIOD_NS)
         return [time_ns for time_ns in times_ns if not self.struck_by(FaultKind.GPS_GAP, time_ns)]
 
-    def axis_seen(self, camera: Camera) -> NDArray[np.int64]:
+    def axis_seen(self, camera: SimulatedCamera) -> Ints:
         """The numbers of the axis's points that a camera sees."""
         window = near(camera, self.axis)
-        seen: NDArray[np.int64] = np.flatnonzero(camera.sees(*camera.project(self.axis[window])))
+        seen: Ints = np.flatnonzero(camera.sees(*camera.project(self.axis[window])))
         return seen + int(window.start)
 
-    def shares_of_spans(self, is_seen: NDArray[np.bool_]) -> Floats:
+    def shares_of_spans(self, is_seen: Mask) -> Floats:
         """(n_spans,): the share of each span's axis where `is_seen` (N,) is True."""
         numbers = self.line.span_numbers(self.axis[:, 0])
         shares: Floats = np.bincount(numbers, is_seen) / np.bincount(numbers)

@@ -12,9 +12,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import Floats, Ints, Mask
 
-    Floats = NDArray[np.float64]
 
 SPAN_M = 55.0
 POLE_HEIGHT_M = 12.5
@@ -42,7 +41,7 @@ class Conductor:
 
     conductor_id: str
     points: Floats
-    is_there: NDArray[np.bool_]
+    is_there: Mask
     diameter_m: float
 
 
@@ -71,7 +70,7 @@ class PowerLine:
     def __getitem__(self, conductor_id: str) -> Conductor:
         return next(c for c in self.conductors if c.conductor_id == conductor_id)
 
-    def span_numbers(self, x: Floats) -> NDArray[np.int64]:
+    def span_numbers(self, x: Floats) -> Ints:
         """Which span, from 0, each x lies in."""
         numbers = np.floor(x / SPAN_M).astype(np.int64) - self.first
         return np.clip(numbers, 0, self.n_structures - 2)

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats
     from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
 
 Quality = Literal["ok", "blurred", "dark", "overexposed"]
@@ -51,12 +49,12 @@ class LineTruth:
     conductor_id: str
     span_id: str | None
     span_ids: tuple[str, ...]
-    points: NDArray[np.float64]
-    width_px: NDArray[np.float64]
+    points: Floats
+    width_px: Floats
 
 
 @dataclass(frozen=True, slots=True)
-class SpanView:
+class SpanViewTruth:
     """What a frame shows of a span's axis (the mean of its conductors): metres from its first structure.
 
     gsd_m: metres per pixel at the nearest and at the farthest point of it.
@@ -99,7 +97,7 @@ class FrameTruth:
     sharpness: float
     mean_luma: float
     lines: tuple[LineTruth, ...]
-    views: tuple[SpanView, ...]
+    views: tuple[SpanViewTruth, ...]
 
     @property
     def dropped(self) -> bool:

@@ -11,17 +11,15 @@ import numpy as np
 from inspect_pipeline.simulation.ground import TEXEL_M, ground_to_texels
 from inspect_pipeline.simulation.options import RenderKind
 from inspect_pipeline.simulation.power_line import POLE_HEIGHT_M
-from inspect_pipeline.simulation.scene import Camera, Tree, visible_parts
+from inspect_pipeline.simulation.scene import SimulatedCamera, Tree, visible_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Floats32, ImageArray, Mask, RealArray
     from inspect_pipeline.simulation.power_line import Conductor
     from inspect_pipeline.simulation.records import Quality
 
-    Image = NDArray[np.uint8]
 
 _SHIFT = 4  # binary places of the coordinates given to OpenCV
 _FINER = 4  # conductors are drawn this much larger, then averaged
@@ -54,21 +52,21 @@ class Landscape:
     crossarm_half_m: from a pole to the end of its arm. sun: (3,) unit vector towards the sun.
     """
 
-    ground: Image
+    ground: ImageArray
     trees: Sequence[Tree]
     conductors: Sequence[Conductor]
     poles: Sequence[float]
     crossarm_half_m: float
-    sun: NDArray[np.float64]
+    sun: Floats
 
 
 def render(
     landscape: Landscape,
-    camera: Camera,
+    camera: SimulatedCamera,
     quality: Quality,
     rng: np.random.Generator,
     kind: RenderKind = RenderKind.DRAWN,
-) -> Image:
+) -> ImageArray:
     """The RGB image (height, width, 3) the camera takes, with blur and noise, good or spoiled.
 
     Raises LSNetError when Mitsuba is needed and not installed.
@@ -84,15 +82,16 @@ def render(
     sharp = put(image, camera, landscape)
     sigma_px, gain = _SPOILED.get(quality, (0.6, 1.0))
     noise = _NOISE * rng.standard_normal(image.shape, np.float32)
-    taken: Image = np.clip(gain * cv2.GaussianBlur(sharp, (0, 0), sigma_px) + noise, 0, 255).astype(np.uint8)
+    blurred = gain * cv2.GaussianBlur(sharp, (0, 0), sigma_px)
+    taken: ImageArray = np.clip(blurred + noise, 0, 255).astype(np.uint8)
     return taken
 
 
-def _draw_ground(landscape: Landscape, camera: Camera) -> Image:
+def _draw_ground(landscape: Landscape, camera: SimulatedCamera) -> ImageArray:
     """The plane z = 0, which a homography maps to the image; the camera is moved onto the first tile."""
     tile_y_m, tile_x_m = (n * TEXEL_M for n in landscape.ground.shape[:2])
     x, y, z = camera.position
-    moved = Camera(
+    moved = SimulatedCamera(
         np.array([x % tile_x_m, y % tile_y_m, z]), camera.rotation, camera.focal_px, camera.image_size
     )
     plane_to_pixel = moved.matrix[:, [0, 1, 3]]
@@ -106,7 +105,7 @@ def _draw_ground(landscape: Landscape, camera: Camera) -> Image:
     return image.astype(np.uint8, copy=False)
 
 
-def _far_to_near(trees: Iterable[Tree], camera: Camera) -> list[Tree]:
+def _far_to_near(trees: Iterable[Tree], camera: SimulatedCamera) -> list[Tree]:
     """The trees that may be in the image."""
     height, width = camera.image_size
     placed = []
@@ -118,7 +117,7 @@ def _far_to_near(trees: Iterable[Tree], camera: Camera) -> list[Tree]:
     return [tree for _, tree in sorted(placed, key=lambda item: -item[0])]
 
 
-def _draw_tree(image: Image, camera: Camera, tree: Tree, sun: NDArray[np.float64]) -> None:
+def _draw_tree(image: ImageArray, camera: SimulatedCamera, tree: Tree, sun: Floats) -> None:
     """Its shadow, then its clumps of leaves from far to near."""
     on_ground = tree.clumps - sun * (tree.clumps[:, 2:] / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
@@ -129,11 +128,11 @@ def _draw_tree(image: Image, camera: Camera, tree: Tree, sun: NDArray[np.float64
 
 
 def _draw_discs(
-    image: Image,
-    camera: Camera,
-    centres: NDArray[np.float64],
-    radii_m: NDArray[np.float64],
-    colours: NDArray[np.floating],
+    image: ImageArray,
+    camera: SimulatedCamera,
+    centres: Floats,
+    radii_m: Floats,
+    colours: RealArray,
 ) -> None:
     pixels, depths = camera.project(centres)
     radii_px = radii_m * camera.focal_px / depths
@@ -146,17 +145,15 @@ def _draw_discs(
         cv2.circle(image, centre, radius, paint, -1, cv2.LINE_AA, _SHIFT)
 
 
-def _touches(
-    pixels: NDArray[np.float64], radii_px: NDArray[np.float64], image_size: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _touches(pixels: Floats, radii_px: Floats, image_size: tuple[int, int]) -> Mask:
     """Which discs have a part in the image."""
     reach = radii_px[:, np.newaxis]
     is_near = (pixels > -reach) & (pixels < image_size[::-1] + reach)
-    touches: NDArray[np.bool_] = np.all(is_near, axis=1)
+    touches: Mask = np.all(is_near, axis=1)
     return touches
 
 
-def _darken(image: Image, shadow: Image) -> None:
+def _darken(image: ImageArray, shadow: ImageArray) -> None:
     """Shade the image where the mask `shadow` is 255, with soft edges."""
     x, y, width, height = cv2.boundingRect(shadow)
     if width and height:
@@ -165,14 +162,14 @@ def _darken(image: Image, shadow: Image) -> None:
         part[:] = (part * (1 - _SHADOW * mask)).astype(np.uint8)
 
 
-def _draw_pole_shadow(image: Image, camera: Camera, x: float, sun: NDArray[np.float64]) -> None:
+def _draw_pole_shadow(image: ImageArray, camera: SimulatedCamera, x: float, sun: Floats) -> None:
     top = np.array([x, 0, POLE_HEIGHT_M]) - sun * (POLE_HEIGHT_M / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
     _draw_beam(shadow, camera, np.array([[x, 0, 0], top]), 0.26, _MASK)
     _darken(image, shadow)
 
 
-def _draw_pole(image: Image, camera: Camera, x: float, arm_half_m: float) -> None:
+def _draw_pole(image: ImageArray, camera: SimulatedCamera, x: float, arm_half_m: float) -> None:
     """A wooden pole with a crossarm."""
     pole = np.array([[x, 0, 0], [x, 0, POLE_HEIGHT_M]])
     _draw_beam(image, camera, pole, 0.28, _WOOD)
@@ -181,9 +178,9 @@ def _draw_pole(image: Image, camera: Camera, x: float, arm_half_m: float) -> Non
 
 
 def _draw_beam(
-    image: Image,
-    camera: Camera,
-    ends: NDArray[np.float64],
+    image: ImageArray,
+    camera: SimulatedCamera,
+    ends: Floats,
     diameter_m: float,
     strips: Iterable[tuple[float, float, tuple[int, ...]]],
 ) -> None:
@@ -201,7 +198,7 @@ def _draw_beam(
         cv2.fillPoly(image, [outline], colour, cv2.LINE_AA, _SHIFT)
 
 
-def _trace_conductors(image: Image, camera: Camera, landscape: Landscape) -> NDArray[np.float32]:
+def _trace_conductors(image: ImageArray, camera: SimulatedCamera, landscape: Landscape) -> Floats32:
     """The image with its conductors, as float32: traced by themselves, laid over it."""
     from lsnet.synth.pbr.wires import View, render_wires  # noqa: PLC0415 - loads much
 
@@ -213,11 +210,11 @@ def _trace_conductors(image: Image, camera: Camera, landscape: Landscape) -> NDA
     view = View(camera.position, camera.rotation, camera.focal_px, camera.image_size)
     traced = render_wires(wires, view, landscape.sun).astype(np.float32)
     alpha = traced[..., 3:] / 255
-    covered: NDArray[np.float32] = (image * (1 - alpha) + traced[..., :3] * alpha).astype(np.float32)
+    covered: Floats32 = (image * (1 - alpha) + traced[..., :3] * alpha).astype(np.float32)
     return covered
 
 
-def _draw_conductors(image: Image, camera: Camera, landscape: Landscape) -> NDArray[np.float32]:
+def _draw_conductors(image: ImageArray, camera: SimulatedCamera, landscape: Landscape) -> Floats32:
     """The image with its conductors, as float32: strokes in fine pixels, averaged, laid over it."""
     height, width = camera.image_size
     fine = np.zeros((height * _FINER, width * _FINER, 2), np.uint8)  # brightness, coverage
@@ -225,11 +222,11 @@ def _draw_conductors(image: Image, camera: Camera, landscape: Landscape) -> NDAr
         for part in visible_parts(camera, conductor):
             _draw_strokes(fine, part.pixels * _FINER, part.widths_px * _FINER)
     averaged = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
-    covered: NDArray[np.float32] = image * (1 - averaged[..., 1:] / 255) + averaged[..., :1] * _METAL
+    covered: Floats32 = image * (1 - averaged[..., 1:] / 255) + averaged[..., :1] * _METAL
     return covered.astype(np.float32, copy=False)
 
 
-def _draw_strokes(fine: Image, pixels: NDArray[np.float64], widths_px: NDArray[np.float64]) -> None:
+def _draw_strokes(fine: ImageArray, pixels: Floats, widths_px: Floats) -> None:
     """A round conductor along (N, 2) fine pixels: strokes of falling width and rising brightness."""
     along = np.gradient(pixels, axis=0)
     up = np.column_stack((along[:, 1], -along[:, 0])) / np.maximum(np.hypot(*along.T), 1e-6)[:, np.newaxis]

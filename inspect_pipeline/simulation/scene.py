@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Mask
     from inspect_pipeline.simulation.power_line import Conductor
 
-    Floats = NDArray[np.float64]
 
 _NEAREST_M = 1.0
 _FARTHEST_M = 70.0  # along the line: beyond it nothing is told apart
@@ -28,7 +26,7 @@ class Tree(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class SimulatedCamera:
     """A pinhole camera.
 
     position: (3,) in m; rotation: (3, 3) from the world to the camera (x right, y down, z ahead).
@@ -48,11 +46,11 @@ class Camera:
         intrinsics = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
         return intrinsics @ np.column_stack((self.rotation, -self.rotation @ self.position))
 
-    def sees(self, pixels: Floats, depths: Floats) -> NDArray[np.bool_]:
+    def sees(self, pixels: Floats, depths: Floats) -> Mask:
         """Which of projected points are inside the image and not too near."""
         height, width = self.image_size
         x, y = pixels.T
-        seen: NDArray[np.bool_] = (depths > _NEAREST_M) & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
+        seen: Mask = (depths > _NEAREST_M) & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
         return seen
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
@@ -72,17 +70,17 @@ class Gaze(NamedTuple):
     roll_rad: float = 0.0
 
 
-def look(position: Floats, gaze: Gaze, focal_px: float, size: tuple[int, int]) -> Camera:
+def look(position: Floats, gaze: Gaze, focal_px: float, size: tuple[int, int]) -> SimulatedCamera:
     """A camera at (3,) m, of an image of (height, width)."""
     (sin_y, sin_p, sin_r), (cos_y, cos_p, cos_r) = np.sin(gaze), np.cos(gaze)
     ahead = np.array([cos_y * cos_p, sin_y * cos_p, -sin_p])
     level = np.array([sin_y, -cos_y, 0.0])
     under = np.array([-sin_p * cos_y, -sin_p * sin_y, -cos_p])
     right, down = level * cos_r + under * sin_r, under * cos_r - level * sin_r
-    return Camera(position, np.stack((right, down, ahead)), focal_px, size)
+    return SimulatedCamera(position, np.stack((right, down, ahead)), focal_px, size)
 
 
-def near(camera: Camera, points: Floats) -> slice:
+def near(camera: SimulatedCamera, points: Floats) -> slice:
     """Which of (N, 3) points in the order of x are near enough to be told apart."""
     x = camera.position[0]
     first, last = np.searchsorted(points[:, 0], (x - _FARTHEST_M, x + _FARTHEST_M)).tolist()
@@ -101,7 +99,7 @@ class VisiblePart(NamedTuple):
     widths_px: Floats
 
 
-def visible_parts(camera: Camera, conductor: Conductor) -> list[VisiblePart]:
+def visible_parts(camera: SimulatedCamera, conductor: Conductor) -> list[VisiblePart]:
     """What the camera sees of a conductor that is there."""
     window = near(camera, conductor.points)
     offset = window.start

@@ -25,7 +25,7 @@ from inspect_pipeline.simulation.records import (
     LineTruth,
     SeenInterval,
     SpanTruth,
-    SpanView,
+    SpanViewTruth,
     StructureTruth,
 )
 from inspect_pipeline.simulation.scene import visible_parts
@@ -33,14 +33,12 @@ from inspect_pipeline.simulation.scene import visible_parts
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Ints
     from inspect_pipeline.simulation.options import SimulationOptions
     from inspect_pipeline.simulation.plan import FlightPlan, Shot
     from inspect_pipeline.simulation.records import Quality
-    from inspect_pipeline.simulation.scene import Camera
+    from inspect_pipeline.simulation.scene import SimulatedCamera
 
-    Floats = NDArray[np.float64]
 
 GROUND_M = 43.0  # ellipsoidal altitude of z = 0
 _ORIGIN_DEG = (52.09, 5.12)  # of x = y = 0
@@ -97,7 +95,7 @@ def truth_of(plan: FlightPlan) -> FlightTruth:
 
 
 def _frame(
-    plan: FlightPlan, shot: Shot, camera: Camera, frame_idx: int, position_times_ns: Sequence[int]
+    plan: FlightPlan, shot: Shot, camera: SimulatedCamera, frame_idx: int, position_times_ns: Sequence[int]
 ) -> FrameTruth:
     i = bisect_right(position_times_ns, shot.time_ns) - 1
     fixed_ns = position_times_ns[max(i, 0)]
@@ -155,7 +153,7 @@ def compass_deg(plan: FlightPlan, yaw_rad: float) -> float:
     return float((plan.azimuth_deg - np.rad2deg(yaw_rad) + 180) % 360 - 180)
 
 
-def _visible_lines(plan: FlightPlan, camera: Camera) -> list[LineTruth]:
+def _visible_lines(plan: FlightPlan, camera: SimulatedCamera) -> list[LineTruth]:
     lines = []
     for conductor in (*plan.line.conductors, *plan.line.foreign):
         for part in visible_parts(camera, conductor):
@@ -178,7 +176,7 @@ def _visible_lines(plan: FlightPlan, camera: Camera) -> list[LineTruth]:
     return lines
 
 
-def _views(plan: FlightPlan, camera: Camera) -> list[SpanView]:
+def _views(plan: FlightPlan, camera: SimulatedCamera) -> list[SpanViewTruth]:
     seen = plan.axis_seen(camera)
     x = plan.axis[seen, 0]
     numbers = plan.line.span_numbers(x)
@@ -188,7 +186,7 @@ def _views(plan: FlightPlan, camera: Camera) -> list[SpanView]:
         along_m = x[is_here] - plan.line.structures_x[span]
         gsd_m = np.linalg.norm(plan.axis[seen[is_here]] - camera.position, axis=1) / camera.focal_px
         views.append(
-            SpanView(
+            SpanViewTruth(
                 plan.span_id(span),
                 float(along_m.min()),
                 float(along_m.max()),
@@ -199,7 +197,7 @@ def _views(plan: FlightPlan, camera: Camera) -> list[SpanView]:
     return views
 
 
-def _n_visible(camera: Camera, points: Floats) -> int:
+def _n_visible(camera: SimulatedCamera, points: Floats) -> int:
     return int(np.count_nonzero(camera.sees(*camera.project(points))))
 
 
@@ -237,9 +235,7 @@ def _shows(frame: FrameTruth, span_id: str) -> bool:
     return any(view.span_id == span_id for view in frame.views)
 
 
-def _line_faults(
-    plan: FlightPlan, frames: Sequence[FrameTruth], shown: NDArray[np.int64]
-) -> list[FaultTruth]:
+def _line_faults(plan: FlightPlan, frames: Sequence[FrameTruth], shown: Ints) -> list[FaultTruth]:
     """The faults that recorded frames show. shown (n_frames, n_faults): how many points of the evidence."""
     recorded = [i for i, frame in enumerate(frames) if not frame.dropped]
     faults = []

@@ -27,12 +27,11 @@ from inspect_pipeline.simulation.scene import plant_trees
 from inspect_pipeline.simulation.truth import compass_deg, to_east_north, to_geodetic, truth_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.recording.writer import RecordingAuthor
     from inspect_pipeline.simulation.plan import FlightPlan
     from inspect_pipeline.simulation.records import FlightTruth, FrameTruth
-    from inspect_pipeline.simulation.scene import Camera
+    from inspect_pipeline.simulation.scene import SimulatedCamera
 
     Author = RecordingAuthor | Ros2Author
 
@@ -120,7 +119,7 @@ def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
     )
 
 
-def _make_ground(rng: np.random.Generator, photograph: Path | None) -> NDArray[np.uint8]:
+def _make_ground(rng: np.random.Generator, photograph: Path | None) -> ImageArray:
     if photograph is None:
         return draw_ground(rng)
     from lsnet.synth.backgrounds import load_rgb  # noqa: PLC0415 - loads much
@@ -148,7 +147,7 @@ def _write_image(
     author.write_image(topic, frame.log_time_ns, "camera", data, "jpeg", stamp_ns=frame.stamp_ns)
 
 
-def _write_calibration(author: Author, topic: str, frame: FrameTruth, camera: Camera) -> None:
+def _write_calibration(author: Author, topic: str, frame: FrameTruth, camera: SimulatedCamera) -> None:
     height, width = camera.image_size
     author.write_calibration(
         topic,

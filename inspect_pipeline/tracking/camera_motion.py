@@ -14,16 +14,14 @@ import numpy as np
 from inspect_pipeline.geometry.camera import camera_axes
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats
     from inspect_pipeline.geometry.attitude import YawPitchRoll
 
-    Floats = NDArray[np.float64]
 
 _STEADY_S = 4.0
 
 
-class UnsteadyTurn:
+class CameraMotion:
     """Follows how one camera is turned."""
 
     def __init__(self) -> None:

@@ -36,7 +36,7 @@ class Pace(NamedTuple):
 
 
 @dataclass(slots=True)
-class Measured:
+class KalmanState:
     """A value with its variance, the usual size of its speed, and its speed, not known at first."""
 
     value: float

@@ -10,9 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 # As shares of the longer side of the image, or in rad: how well lines are measured.
 _ASIDE_NOISE, _ANGLE_NOISE = 4 / 1280, float(np.radians(0.7))

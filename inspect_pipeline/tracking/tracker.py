@@ -17,14 +17,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.tracking.kalman import Measured, Pace
+from inspect_pipeline.tracking.kalman import KalmanState, Pace
 from inspect_pipeline.tracking.measurements import FrameLines, continues, half_turned
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from inspect_pipeline.arrays import Floats, Ints32, RealArray
 
-    Floats = NDArray[np.float64]
-    Scores = NDArray[np.floating]
 
 # As a share of the longer side of the image, or in rad, a second: how fast lines may drift.
 _ASIDE_SPEED, _ANGLE_SPEED = 90 / 1280, float(np.radians(5))
@@ -65,8 +63,8 @@ class _Track:
     """A line as it is expected: through `middle` (px from that of the image), `half_px` to either side."""
 
     track_id: int
-    angle: Measured  # rad, unwrapped
-    aside: Measured  # px off the middle, moved into it at once
+    angle: KalmanState  # rad, unwrapped
+    aside: KalmanState  # px off the middle, moved into it at once
     middle: Floats
     half_px: float
     first: Moment
@@ -160,8 +158,8 @@ class LineTracker:
         self._time_ns: int | None = None
 
     def update(
-        self, moment: Moment, chords: Floats, scores: Scores, motion: Floats | None = None
-    ) -> NDArray[np.int32]:
+        self, moment: Moment, chords: Floats, scores: RealArray, motion: Floats | None = None
+    ) -> Ints32:
         """The track of each line of a frame.
 
         chords: (N, 4) x1, y1, x2, y2 in px; scores: (N,). motion: (3, 3) from the pixels of the frame before
@@ -204,8 +202,8 @@ class LineTracker:
         angle, (angle_var, aside_var) = float(lines.angles[i]), lines.noise[i].tolist()
         track = _Track(
             track_id=self._next_id,
-            angle=Measured(angle, angle_var, _ANGLE_SPEED),
-            aside=Measured(0.0, aside_var, _ASIDE_SPEED * max(moment.image_size)),
+            angle=KalmanState(angle, angle_var, _ANGLE_SPEED),
+            aside=KalmanState(0.0, aside_var, _ASIDE_SPEED * max(moment.image_size)),
             middle=lines.middles[i],
             half_px=float(lines.halves[i]),
             first=moment,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import flights
 import numpy as np
 
-from inspect_pipeline.georeference.frames import FramePlace
+from inspect_pipeline.georeference.frames import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.inspection.spans import Span
 from inspect_pipeline.recording.types import Frame
@@ -107,8 +107,8 @@ def _to_detections(frame: FrameTruth, rng: np.random.Generator | None) -> Detect
     return Detections(Segments(ends, scores, size), Lines(points, scores, size))
 
 
-def _to_place(frame: FrameTruth) -> FramePlace:
+def _to_place(frame: FrameTruth) -> FramePose:
     names = ("lat_deg", "lon_deg", "alt_m", "height_m", "heading_deg", "cam_roll_deg", "cam_pitch_deg")
     told = {name: getattr(frame, name) for name in (*names, "cam_yaw_deg", "pose_age_ms", "focal_px")}
-    place = FramePlace(**told, attitude_source="camera")
+    place = FramePose(**told, attitude_source="camera")
     return place if frame.pose_age_ms is not None else replace(place, pose_age_ms=None)

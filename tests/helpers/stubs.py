@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from fakes import FakeDetector
 
 from inspect_pipeline.batch.executor import Outcome
-from inspect_pipeline.batch.worker import Failure
+from inspect_pipeline.batch.worker import WorkerFailure
 from inspect_pipeline.errors import DetectorError, RecordingError
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.store.store import Store
@@ -106,12 +106,12 @@ class InlineExecutor:
                 return
             yield Outcome(candidate, 1, 0.1, self._attempt(candidate.path, run))
 
-    def _attempt(self, path: Path, run: RunRecord) -> ProcessResult | Failure:
+    def _attempt(self, path: Path, run: RunRecord) -> ProcessResult | WorkerFailure:
         try:
             return process(
                 path, Store(self._job.store_root), self._job.make_detector(), self._job.options, run
             )
         except RecordingError as error:
-            return Failure("unreadable", str(error))
+            return WorkerFailure("unreadable", str(error))
         except RuntimeError as error:
-            return Failure("error", str(error))
+            return WorkerFailure("error", str(error))

@@ -18,14 +18,11 @@ from inspect_pipeline.inspection.rows import runs_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Ints, Mask
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
 
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two lanes along the span, as what is usual for them
@@ -38,7 +35,7 @@ _MIN_FITTING = 0.85  # of the crossings of a track; else it went over to another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lane:
+class ConductorTrack:
     """A track in a span.
 
     sights (C,) are its crossings of bins in frames, as one number in order, across_m (C,) where it appears
@@ -54,7 +51,7 @@ class Lane:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sights:
+class LinesOfSight:
     """Lines of sight (C,): from where along, to the side and above the plane, and metres per metre down."""
 
     from_m: Floats
@@ -63,12 +60,12 @@ class Sights:
     ahead: Floats
     slope: Floats
 
-    def select(self, chosen: NDArray[np.bool_]) -> Sights:
+    def select(self, chosen: Mask) -> LinesOfSight:
         """Some of them."""
-        return Sights(*(getattr(self, name)[chosen] for name in self.__slots__))
+        return LinesOfSight(*(getattr(self, name)[chosen] for name in self.__slots__))
 
 
-def make_lanes(one: SpanEvidence, rules: Rules) -> list[Lane]:
+def make_lanes(one: SpanEvidence, rules: Rules) -> list[ConductorTrack]:
     """The tracks of a span that are seen at enough places."""
     view, axis = one.view, one.axis
     tracks = one.lines_track[view.line]
@@ -80,24 +77,24 @@ def make_lanes(one: SpanEvidence, rules: Rules) -> list[Lane]:
         is_enough = seen_m >= rules.of("sag_change")["min_share"] * axis.length_m
         fit = _fit_sag(sights.select(own), axis.length_m) if is_enough else (np.nan, np.nan)
         places, once = np.unique(view.frame[own] * len(axis.middles) + view.bin[own], return_index=True)
-        lanes.append(Lane(track, places, view.across_m[own][once], *fit))
+        lanes.append(ConductorTrack(track, places, view.across_m[own][once], *fit))
     return lanes
 
 
-def _distances_m(first: Lane, second: Lane, n_bins: int, rules: Rules) -> Floats:
+def _distances_m(first: ConductorTrack, second: ConductorTrack, n_bins: int, rules: Rules) -> Floats:
     """(B,) how far two lanes appear from each other in the frames that have both; NaN where too few have."""
     both, i, j = np.intersect1d(first.sights, second.sights, assume_unique=True, return_indices=True)
     return _place_by_bin(np.abs(first.across_m[i] - second.across_m[j]), both % n_bins, n_bins, rules)
 
 
-def _sights(one: SpanEvidence) -> Sights:
+def _sights(one: SpanEvidence) -> LinesOfSight:
     """How each crossing of a view was seen."""
     axis, view = one.axis, one.view
     positions = one.cameras.positions[view.frame]
     ground = positions[:, :2] - axis.start
     side_m, above_m = ground @ axis.across, positions[:, 2] - axis.height_m
     from_m = ground @ axis.along
-    return Sights(
+    return LinesOfSight(
         from_m=from_m,
         side_m=side_m,
         above_m=above_m,
@@ -106,7 +103,7 @@ def _sights(one: SpanEvidence) -> Sights:
     )
 
 
-def _fit_sag(seen: Sights, length_m: float) -> tuple[float, float]:
+def _fit_sag(seen: LinesOfSight, length_m: float) -> tuple[float, float]:
     """How far below its ends a conductor hangs in the middle of its span, and the misfit, in metres.
 
     A conductor at y, hung e above the plane and sagging by s, is seen at a slope q across per metre down:
@@ -152,7 +149,7 @@ def _place_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Fl
 
 
 def find_converging(
-    one: SpanEvidence, lanes: Sequence[Lane], origin: LocalMetres, rules: Rules
+    one: SpanEvidence, lanes: Sequence[ConductorTrack], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
     """The two conductors that come much closer than they are along most of the span, and lose most."""
     found = [
@@ -213,7 +210,7 @@ def _to_finding(one: SpanEvidence, found: _Approach, track_id: int, origin: Loca
 
 
 def find_sag_changes(
-    one: SpanEvidence, lanes: Sequence[Lane], origin: LocalMetres, rules: Rules
+    one: SpanEvidence, lanes: Sequence[ConductorTrack], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
     """A conductor that hangs lower, or higher, than the median of the others; the oddest of a span."""
     limits = rules.of("sag_change")

@@ -23,8 +23,7 @@ from inspect_pipeline.inspection.rows import find_origin, judge_frames
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Mask
     from inspect_pipeline.inspection.anomalies.frames import Finding
     from inspect_pipeline.inspection.rows import CameraRows, FrameRows
     from inspect_pipeline.inspection.rules import Rules
@@ -87,7 +86,7 @@ def find_anomalies(cameras: Sequence[CameraRows], spans: Sequence[Span], rules: 
     return sorted(found, key=lambda one: (one.start_ns, one.kind, one.channel_id, one.span_id or ""))
 
 
-def _is_before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> NDArray[np.bool_]:
+def _is_before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> Mask:
     """After an orientation jump the pose says no more where a line is."""
     jumps = [int(one.rows[-1]) for one in findings if one.kind == "orientation_jump"]
     return np.arange(len(frames)) < min(jumps, default=len(frames))

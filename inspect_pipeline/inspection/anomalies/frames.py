@@ -12,8 +12,7 @@ from inspect_pipeline.inspection.rows import runs_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Ints
     from inspect_pipeline.inspection.rows import CameraRows, Usable
     from inspect_pipeline.inspection.rules import Rules
 
@@ -26,7 +25,7 @@ class Finding:
     """
 
     kind: str
-    rows: NDArray[np.int64]
+    rows: Ints
     reason: str
     value: float
     threshold: float

@@ -12,12 +12,10 @@ from inspect_pipeline.inspection.rows import NO_TRACK, tracked_lines
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Mask
     from inspect_pipeline.inspection.rows import CameraRows, LineRows, Usable
     from inspect_pipeline.inspection.rules import Rules
 
-    Floats = NDArray[np.float64]
 
 _SAME_OFFSET_PX, _SAME_ANGLE_DEG = 25.0, 4.0  # of lines that are one, turned
 _MAX_PAUSE_FRAMES = 2
@@ -105,7 +103,7 @@ def _best_turn(
     return turn_deg, _count_pairs(near, turns, turn_deg), _count_pairs(near, turns, 0.0)
 
 
-def _count_pairs(near: NDArray[np.bool_], turns: Floats, turn_deg: float) -> int:
+def _count_pairs(near: Mask, turns: Floats, turn_deg: float) -> int:
     """How many lines of one frame have a line of the other at a turn."""
     fits = near & (np.abs(turns - turn_deg) <= _SAME_ANGLE_DEG)
     return int(min(fits.any(axis=0).sum(), fits.any(axis=1).sum()))

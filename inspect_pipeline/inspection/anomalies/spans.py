@@ -21,16 +21,11 @@ from inspect_pipeline.inspection.span_evidence import SpanEvidence, gather_evide
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Ints, Mask
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.rows import CameraRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
-
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
 
 
 _SMOOTHED_FRAMES = 31

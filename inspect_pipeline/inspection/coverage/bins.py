@@ -14,16 +14,12 @@ from inspect_pipeline.inspection.span_view import cut_to_sight, is_near, make_ax
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
-    from inspect_pipeline.geometry.local_frame import Cameras, LocalMetres
+    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres
     from inspect_pipeline.inspection.rows import CameraRows, FrameRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
 
 _FRAMES_AT_A_TIME = 64
 _MAX_BINS = 100_000  # of a path: 100 km by the shipped rules
@@ -70,7 +66,7 @@ def corridor_bins(cameras: Sequence[CameraRows], origin: LocalMetres, rules: Rul
     yield seen.to_bins("corridor", None, bin_m, middles, origin)
 
 
-def _usable_cameras(camera: CameraRows, origin: LocalMetres, rules: Rules) -> Cameras:
+def _usable_cameras(camera: CameraRows, origin: LocalMetres, rules: Rules) -> CameraPoses:
     """The cameras of the frames; those of frames that cannot be used are nowhere."""
     placed = place_cameras(camera.frames, origin, rules)
     placed.positions[~judge_frames(camera.frames, rules).usable] = np.nan
@@ -94,7 +90,7 @@ def _cut_path(frames: FrameRows, origin: LocalMetres, bin_m: float) -> tuple[Flo
     return np.column_stack((*columns, np.zeros(n_bins))), total / n_bins
 
 
-def _within_reach(middles: Floats, cameras: Cameras, rules: Rules) -> Ints:
+def _within_reach(middles: Floats, cameras: CameraPoses, rules: Rules) -> Ints:
     """Which of (B, 3) places may be near enough to any of the cameras to be seen finely."""
     reach_m = rules.coverage["max_gsd_m"] * cameras.focal_px
     known = np.isfinite(cameras.positions[:, :2]).all(axis=1) & np.isfinite(reach_m)

@@ -18,13 +18,10 @@ from inspect_pipeline.inspection.rows import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from inspect_pipeline.arrays import Floats, Mask
     from inspect_pipeline.inspection.rows import CameraRows
     from inspect_pipeline.inspection.rules import Rules
 
-    Floats = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
 
 _MIN_GAP_FRAMES = 5  # without lines, before it is called a gap
 _MAX_LOST = 2**31 - 1  # what its column holds; clocks that jump by centuries lose more

@@ -25,7 +25,7 @@ from inspect_pipeline.batch.executor import Executor, Worker
 from inspect_pipeline.batch.inbox import Candidate
 from inspect_pipeline.batch.local import LocalExecutor
 from inspect_pipeline.batch.ray import RayExecutor
-from inspect_pipeline.batch.worker import Failure, Job, Service
+from inspect_pipeline.batch.worker import Job, Service, WorkerFailure
 from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_described_run
 from inspect_pipeline.errors import DetectorError, StoreError, TerrainError
 from inspect_pipeline.recording.types import ProcessResult
@@ -202,7 +202,7 @@ def test_a_killed_worker_costs_one_attempt_of_one_recording(site: Site) -> None:
 def test_late_recordings_and_workers_that_die_while_they_wait(site: Site) -> None:
     with site.start(timeout_s=1.0) as executor:
         (late,) = executor.run([site.recording("late", HANG)], site.run)
-        assert late.result == Failure("timeout", "not done after 1 s")
+        assert late.result == WorkerFailure("timeout", "not done after 1 s")
         assert late.seconds >= 1
     with site.start() as executor:
         executor.describe()

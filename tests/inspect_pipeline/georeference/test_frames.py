@@ -16,8 +16,8 @@ from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_run
 from inspect_pipeline.errors import TerrainError
 from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.geometry.terrain import load_elevation
-from inspect_pipeline.georeference.frames import FramePlace, FramePlacer
-from inspect_pipeline.georeference.poses import PoseTrack, Samples
+from inspect_pipeline.georeference.frames import FramePose, Georeferencer
+from inspect_pipeline.georeference.poses import PoseSamples, PoseTrack
 from inspect_pipeline.messages.calibration import Intrinsics
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.types import Frame
@@ -34,8 +34,8 @@ TIME_NS = 1_700_000_000 * 10**9
 NORTH_DOWN = YawPitchRoll(0.0, -45.0, 0.0)
 
 
-def at_once(*values: float) -> Samples:
-    return Samples(np.array([TIME_NS], np.uint64), np.array([values]))
+def at_once(*values: float) -> PoseSamples:
+    return PoseSamples(np.array([TIME_NS], np.uint64), np.array([values]))
 
 
 def frame(width: int = 1280) -> Frame:
@@ -43,11 +43,11 @@ def frame(width: int = 1280) -> Frame:
     return Frame(1, "/camera", 0, TIME_NS + 4_000_000, TIME_NS, TIME_NS, "", image)
 
 
-def placed(track: PoseTrack, *, width: int = 1280, **options: float | Path | None) -> FramePlace:
+def placed(track: PoseTrack, *, width: int = 1280, **options: float | Path | None) -> FramePose:
     lens = Intrinsics((720, 1280), (1000.0, 1000.0), (640.0, 360.0), "", ())
     lenses = {1: lens} if options.pop("with_lens", 1) else {}
     terrain = options.get("terrain")
-    return FramePlacer(
+    return Georeferencer(
         track, lenses, PlacingOptions(**options), load_elevation(terrain) if terrain else None
     ).place(frame(width))
 
@@ -55,13 +55,13 @@ def placed(track: PoseTrack, *, width: int = 1280, **options: float | Path | Non
 def track(*, camera: bool = True, vehicle: bool = True, height_m: float | None = 30.0) -> PoseTrack:
     return PoseTrack(
         positions=at_once(*HERE),
-        vehicle=at_once(20.0, 0.0, 0.0) if vehicle else Samples(),
-        camera=at_once(*NORTH_DOWN, 0) if camera else Samples(),
-        heights=at_once(height_m) if height_m is not None else Samples(),
+        vehicle=at_once(20.0, 0.0, 0.0) if vehicle else PoseSamples(),
+        camera=at_once(*NORTH_DOWN, 0) if camera else PoseSamples(),
+        heights=at_once(height_m) if height_m is not None else PoseSamples(),
     )
 
 
-def metres_from_here(place: FramePlace) -> tuple[float, float]:
+def metres_from_here(place: FramePose) -> tuple[float, float]:
     projection = pyproj.Proj(proj="tmerc", lat_0=HERE[0], lon_0=HERE[1], ellps="WGS84")
     return projection(place.ground_lon_deg, place.ground_lat_deg)
 
@@ -99,8 +99,8 @@ def test_without_attitude_it_is_taken_to_look_down_and_says_so() -> None:
 
 
 def test_what_is_not_known_is_not_said() -> None:
-    empty = Samples()
-    assert placed(PoseTrack(empty, empty, empty)) == FramePlace(focal_px=1000.0)
+    empty = PoseSamples()
+    assert placed(PoseTrack(empty, empty, empty)) == FramePose(focal_px=1000.0)
     blind = placed(track(), with_lens=0)
     assert (blind.focal_px, blind.gsd_m, blind.wire_px) == (None, None, None)
     assert metres_from_here(blind) == pytest.approx((0, 30), abs=1e-3)
@@ -182,7 +182,7 @@ def test_heights_count_from_where_the_recording_begins(tmp_path: Path) -> None:
     """100 m to the north, the ground of the same slope is 25 m higher."""
     dem = write_dem(tmp_path / "dem.tif", HERE[:2], lambda _, north: 1000 + 0.25 * north)
     north_lat_deg = HERE[0] + 100 / 111_258
-    flown = Samples(
+    flown = PoseSamples(
         np.array([TIME_NS, TIME_NS + 10**6], np.uint64), np.array([HERE, (north_lat_deg, HERE[1], 80.0)])
     )
     place = placed(replace(track(), positions=flown), terrain=dem)

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from inspect_pipeline.geometry.attitude import YawPitchRoll
-from inspect_pipeline.georeference.frames import FramePlace
+from inspect_pipeline.georeference.frames import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.types import Frame
-from inspect_pipeline.tracking.camera_motion import UnsteadyTurn
-from inspect_pipeline.tracking.kalman import Measured, Pace
+from inspect_pipeline.tracking.camera_motion import CameraMotion
+from inspect_pipeline.tracking.kalman import KalmanState, Pace
 from inspect_pipeline.tracking.tracker import LineTracker, Moment
 from lsnet.segments import Detections, Lines, Segments
 
@@ -130,7 +130,7 @@ def test_the_turn_of_the_camera_is_undone() -> None:
     """The camera yaws by 4 degrees a frame, to and fro: 60 px, one and a half times between the lines."""
 
     def follow(*, with_motion: bool) -> list[list[int]]:
-        tracker, turn, ids = LineTracker(), UnsteadyTurn(), []
+        tracker, turn, ids = LineTracker(), CameraMotion(), []
         for i in range(12):
             turns = YawPitchRoll(4.0 * (i % 2), 0.0, 0.0) if i > 3 else YawPitchRoll(0.0, 0.0, 0.0)
             motion = turn.update(turns, moment(i).time_ns, 900.0 if with_motion else None, SIZE)
@@ -145,7 +145,7 @@ def test_the_turn_of_the_camera_is_undone() -> None:
 
 def test_a_turn_moves_pixels_as_far_things_move() -> None:
     """After seconds of rest, a turn about all axes."""
-    turn, rest, after = UnsteadyTurn(), YawPitchRoll(30.0, -40.0, 3.0), YawPitchRoll(33.0, -38.0, 1.0)
+    turn, rest, after = CameraMotion(), YawPitchRoll(30.0, -40.0, 3.0), YawPitchRoll(33.0, -38.0, 1.0)
     motions = [turn.update(rest, moment(i).time_ns, 900.0, SIZE) for i in range(5)]
     assert motions[0] is None
     assert all(motion == pytest.approx(np.eye(3), abs=1e-9) for motion in motions[1:])
@@ -156,7 +156,7 @@ def test_a_turn_moves_pixels_as_far_things_move() -> None:
 
 
 def test_a_steady_turn_is_left_to_the_tracks() -> None:
-    turn = UnsteadyTurn()
+    turn = CameraMotion()
     motions = [
         turn.update(YawPitchRoll(2.0 * i, -30.0, 0.0), moment(i).time_ns, 900.0, SIZE) for i in range(8)
     ]
@@ -172,7 +172,7 @@ def test_a_flight_without_lines_has_no_tracks() -> None:
 
 @given(st.floats(0.01, 3), st.floats(0.01, 3), st.floats(-5, 5), st.floats(-5, 5))
 def test_waiting_twice_is_waiting_once(first_s: float, second_s: float, value: float, speed: float) -> None:
-    twice, once = Measured(value, 0.3, 2.0, speed, 0.1), Measured(value, 0.3, 2.0, speed, 0.1)
+    twice, once = KalmanState(value, 0.3, 2.0, speed, 0.1), KalmanState(value, 0.3, 2.0, speed, 0.1)
     twice.go_on(Pace.of(first_s))
     twice.go_on(Pace.of(second_s))
     once.go_on(Pace.of(first_s + second_s))
@@ -185,7 +185,7 @@ def test_a_correction_is_that_of_the_textbook(
 ) -> None:
     """x + K y and (I - K H) P, in matrices."""
     both_var = correlation * np.sqrt(value_var * speed_var)
-    measured = Measured(1.0, value_var, 1.0, 2.0, both_var)
+    measured = KalmanState(1.0, value_var, 1.0, 2.0, both_var)
     measured.speed_var = speed_var
     covariance = np.array([[value_var, both_var], [both_var, speed_var]])
     seen = np.array([[1.0, 0.0]])
@@ -201,7 +201,7 @@ def test_a_correction_is_that_of_the_textbook(
 def test_tracks_are_written_with_the_rows(tmp_path: Path) -> None:
     """Two cameras: one sees a line in each frame and a false one once, the other one sees nothing."""
     image = np.zeros((*SIZE, 3), np.uint8)
-    place = FramePlace(
+    place = FramePose(
         lat_deg=52.0,
         lon_deg=5.0,
         cam_yaw_deg=0.0,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from inspect_rows import FOCAL_PX, PERIOD_NS, flight, rules, span
 
-from inspect_pipeline.geometry.local_frame import Cameras, camera_axes
+from inspect_pipeline.geometry.local_frame import CameraPoses, camera_axes
 from inspect_pipeline.inspection.anomalies.find import find_anomalies
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
 from inspect_pipeline.inspection.rows import NO_TRACK, LineRows, completed_lines
@@ -100,10 +100,10 @@ def test_spans_that_are_far_change_no_row() -> None:
 
 
 def test_cameras_see_what_projects_into_their_pictures() -> None:
-    """Cameras that look anywhere, wide and narrow, some lost, about a line that turns."""
+    """CameraPoses that look anywhere, wide and narrow, some lost, about a line that turns."""
     rng = np.random.default_rng(0)
     angles = rng.uniform(-180, 180, (3, 300))
-    cameras = Cameras(
+    cameras = CameraPoses(
         positions=rng.uniform(-150, 150, (300, 3)),
         axes=camera_axes(*angles),
         focal_px=rng.choice([100.0, 1000.0, 4000.0], 300),

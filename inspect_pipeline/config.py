@@ -17,8 +17,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from inspect_pipeline.recording.types import SchemaName, WriteMode
     from lsnet import Detector
+
+WriteMode = Literal["copy", "sidecar", "none"]  # where annotations go
+SchemaName = Literal["protobuf", "ros2msg"]  # of annotations
+ExecutorName = Literal["local", "ray"]  # where a batch has its workers
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import OutputError, QueryError
 from inspect_pipeline.index.query import run_query
 from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.recording.source import open_images
+from inspect_pipeline.store.images import open_images
 
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats32, ImageArray
@@ -99,10 +99,9 @@ def _read_image(store: Store, row: dict[str, Any]) -> ImageArray:
     if record is None:
         raise QueryError(f"flight {row['flight_id'][:16]} is not in the store; lsnet-pipe index rebuild")
     source, time_ns = open_images(record, store.flight_dir(record.flight_id)), row["log_time_ns"]
-    with tempfile.TemporaryDirectory() as scratch, source.recording(Path(scratch)) as recording:
-        frames = iter_frames(recording, [row["topic"]], start_ns=time_ns, end_ns=time_ns + 1)
-        images = (frame.image for frame in frames if frame.frame_idx == row["frame_idx"])
-        image = next(images, None)
+    cameras = source.select_cameras([row["topic"]])
+    frames = iter_frames(source, cameras, start_ns=time_ns, end_ns=time_ns + 1)
+    image = next((frame.image for frame in frames if frame.frame_idx == row["frame_idx"]), None)
     if image is None:
         raise QueryError(f"frame {row['frame_idx']} is not in {source.path} any more; process it again")
     return image

@@ -20,11 +20,8 @@ from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.recording.reader import RUN_METADATA
-from inspect_pipeline.recording.source import open_source
-from inspect_pipeline.recording.stamps import StampCheck
-from inspect_pipeline.recording.types import ProcessResult
-from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord
+from inspect_pipeline.recording.reader import RUN_METADATA, open_recording
+from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -32,8 +29,8 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.config import ProcessOptions
     from inspect_pipeline.recording.append import AnnotationWriter
+    from inspect_pipeline.recording.frames import RecordingIterator
     from inspect_pipeline.recording.reader import Recording
-    from inspect_pipeline.recording.source import Source
     from inspect_pipeline.recording.types import CameraChannel, Frame
     from inspect_pipeline.store.records import FlightTotals, ModelRecord, RunRecord
     from inspect_pipeline.store.store import Store
@@ -68,23 +65,26 @@ def process(
     StoreError.
     """
     started = time.monotonic()
-    source = open_source(path, strict=options.strict)
-    if source.is_annotated_copy:
-        skipped = ProcessResult(source.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
+    recording = open_recording(path, strict=options.strict)
+    if recording.is_annotated_copy:
+        skipped = ProcessResult(recording.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
         return replace(skipped, reason="it is an annotated copy")
-    if len(source.parts) == 1:
-        source.parts[0].select_cameras(options.topics)
-    known = store.load_flight(source.flight_id)
+    cameras = recording.select_cameras(options.topics)
+    known = store.load_flight(recording.flight_id)
     if known and known.run.config_sha256 == run.config_sha256 and not options.force:
         result = _to_result(known, path, store, started)
         return replace(result, status="skipped", reason=None, warnings=())
     model = model_record(detector)
-    with store.write_flight(source.flight_id) as staging:
-        with source.recording(staging.path) as recording:
-            seen = _look(recording, detector, options, on_progress)
-            metadata = run_metadata(source.flight_id, run, model)
-            written = _write(recording, staging.path, options, metadata, seen)
-            record = _to_record(source, options, run, model, written)
+    with store.write_flight(recording.flight_id) as staging:
+        frames = iter_frames(
+            recording, cameras, every=options.every, start_ns=options.start_ns, end_ns=options.end_ns
+        )
+        seen = _look(frames, detector, on_progress, _expected_frames(cameras, options))
+        metadata = run_metadata(recording.flight_id, run, model)
+        written = _write(recording, cameras, staging.path, options, metadata=metadata, seen_frames=seen)
+        record = _to_record(
+            recording, cameras, options=options, run=run, model=model, written=written, frames=frames
+        )
         staging.commit(record)
     return _to_result(record, path, store, started)
 
@@ -99,14 +99,13 @@ class _ProcessedFrame(NamedTuple):
 
 
 def _look(
-    recording: Recording,
+    frames: Iterable[Frame],
     detector: Detector,
-    options: ProcessOptions,
     on_progress: Callable[[Progress], object],
+    n_expected: int | None,
 ) -> Iterator[_ProcessedFrame]:
     """Every frame with its detections."""
-    frames = iter_frames(recording, options.topics, options.every, options.start_ns, options.end_ns)
-    n_frames, n_expected = 0, _expected_frames(recording, options)
+    n_frames = 0
     for batch in _one_ahead(_batched(frames)):
         yield from _detect(detector, batch)
         n_frames += len(batch)
@@ -151,23 +150,23 @@ def _detect(detector: Detector, batch: list[_ProcessedFrame]) -> list[_Processed
 
 
 class _Written(NamedTuple):
-    """What was written of a flight, of which cameras, and what is odd about it."""
+    """What was written of a flight, and what could not be read on the way."""
 
     totals: FlightTotals
-    channels: tuple[CameraChannel, ...]
-    warnings: tuple[str, ...]
+    losses: tuple[str, ...]
 
 
 def _write(
     recording: Recording,
+    cameras: tuple[CameraChannel, ...],
     folder: Path,
     options: ProcessOptions,
+    *,
     metadata: dict[str, str],
     seen_frames: Iterable[_ProcessedFrame],
 ) -> _Written:
     """Write every frame to annotations and to tables in `folder`."""
-    stamps = StampCheck()
-    placer = Georeferencer.of(recording, recording.select_cameras(options.topics), options.placing)
+    placer = Georeferencer.of(recording, cameras, options.placing)
     with (
         _annotations(recording, folder, options) as out,
         FlightWriter(folder, recording.flight_id) as tables,
@@ -176,7 +175,6 @@ def _write(
             out.add_metadata(RUN_METADATA, metadata)
         annotator = FrameAnnotator(out, options.schema) if out else None
         for seen in seen_frames:
-            stamps.see(seen.frame)
             if annotator:
                 annotator.write(seen.frame, seen.detections)
             tables.add_frame(
@@ -188,8 +186,7 @@ def _write(
                 place=placer.place(seen.frame),
             )
         totals = tables.finish()
-    warnings = (*recording.warnings, *stamps.warnings())
-    return _Written(totals, recording.select_cameras(options.topics), warnings)
+    return _Written(totals, (*placer.poses.losses, *(out.losses if out else ())))
 
 
 @contextmanager
@@ -209,32 +206,36 @@ def _annotations(
             yield None
 
 
-def _expected_frames(recording: Recording, options: ProcessOptions) -> int | None:
-    counts = [camera.message_count for camera in recording.select_cameras(options.topics)]
+def _expected_frames(cameras: tuple[CameraChannel, ...], options: ProcessOptions) -> int | None:
+    counts = [camera.message_count for camera in cameras]
     if options.start_ns is not None or options.end_ns is not None:
         return None
     return sum(-(-count // options.every) for count in counts if count) if all(counts) else None
 
 
 def _to_record(
-    source: Source,
+    source: Recording,
+    cameras: tuple[CameraChannel, ...],
+    *,
     options: ProcessOptions,
     run: RunRecord,
     model: ModelRecord,
     written: _Written,
+    frames: RecordingIterator[Frame],
 ) -> FlightRecord:
+    losses = dict.fromkeys((*source.losses, *source.identity.losses, *frames.losses, *written.losses))
     return FlightRecord(
         flight_id=source.flight_id,
         source_uri=source.path.absolute().as_uri(),
         source_bytes=source.size_bytes,
-        status="recovered" if source.losses else "ok",
-        reason="; ".join(source.losses) or None,
-        warnings=written.warnings,
+        status="recovered" if losses else "ok",
+        reason="; ".join(losses) or None,
+        warnings=(*source.warnings, *frames.warnings),
         annotations=_FILES[options.write],
         ingested_at=datetime.now(UTC),
         run=run,
         model=model,
-        channels=written.channels,
+        channels=cameras,
         totals=written.totals,
     )
 

@@ -14,8 +14,9 @@ from inspect_pipeline.annotations.ros2 import ROS2
 
 if TYPE_CHECKING:
     from inspect_pipeline.annotations.schema import AnnotationSchema
+    from inspect_pipeline.config import SchemaName
     from inspect_pipeline.recording.append import AnnotationWriter
-    from inspect_pipeline.recording.types import Frame, SchemaName
+    from inspect_pipeline.recording.types import Frame
     from lsnet.segments import Detections
 
 _SCHEMAS: dict[SchemaName, tuple[AnnotationSchema, ...]] = {"protobuf": PROTOBUF, "ros2msg": ROS2}

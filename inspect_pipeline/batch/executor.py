@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 from inspect_pipeline.batch.worker import Ready, WorkerFailure
 from inspect_pipeline.errors import DetectorError, InspectError
-from inspect_pipeline.recording.types import ProcessResult
+from inspect_pipeline.store.records import ProcessResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

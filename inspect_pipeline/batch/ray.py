@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.batch.worker import Job, Ready
     from inspect_pipeline.errors import StoreError, TerrainError
-    from inspect_pipeline.recording.types import ProcessResult
-    from inspect_pipeline.store.records import RunRecord
+    from inspect_pipeline.store.records import ProcessResult, RunRecord
 
 _PING_S = 10.0
 _END_S = 10.0

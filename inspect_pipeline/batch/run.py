@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.batch.executor import Executor, Outcome
     from inspect_pipeline.batch.worker import Job
-    from inspect_pipeline.recording.types import ExecutorName, ProcessResult
+    from inspect_pipeline.config import ExecutorName
+    from inspect_pipeline.store.records import ProcessResult
     from inspect_pipeline.store.store import Store
 
 _PUBLISH_EVERY_S = 600.0

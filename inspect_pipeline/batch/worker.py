@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from inspect_pipeline.config import ProcessOptions
-    from inspect_pipeline.recording.types import ProcessResult
-    from inspect_pipeline.store.records import RunRecord
+    from inspect_pipeline.store.records import ProcessResult, RunRecord
     from lsnet import Detector
 
 _PR_SET_PDEATHSIG = 1

@@ -24,7 +24,7 @@ from inspect_pipeline.commands.options import (
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
-from inspect_pipeline.recording.types import ExecutorName
+from inspect_pipeline.config import ExecutorName
 
 if TYPE_CHECKING:
     from inspect_pipeline.batch.run import BatchOptions, BatchReport

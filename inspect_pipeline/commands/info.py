@@ -25,19 +25,22 @@ def info(
 
     Example: lsnet-pipe info flight.mcap
     """
-    from inspect_pipeline.recording.source import open_source
+    from inspect_pipeline.recording.reader import open_recording
 
-    source = open_source(file)
-    if len(source.parts) > 1:
-        typer.echo(f"flight    {source.flight_id}, of {len(source.parts)} parts:\n")
-    for part in source.parts:
-        for line in _describe(part):
-            typer.echo(printable(line))
+    for line in _describe(open_recording(file)):
+        typer.echo(printable(line))
 
 
 def _describe(recording: Recording) -> Iterator[str]:
     counts = recording.message_counts()
-    yield f"file      {recording.path} ({recording.size_bytes:,} bytes)"
+    if len(recording.parts) == 1:
+        yield f"file      {recording.path} ({recording.size_bytes:,} bytes)"
+    else:
+        parts = f"{len(recording.parts)} parts, {recording.size_bytes:,} bytes"
+        yield f"{'folder' if recording.path.is_dir() else 'file':<9} {recording.path} ({parts})"
+        for part in recording.parts:
+            where = f" from byte {part.start:,}" if part.start else ""
+            yield f"  {part.path.name}{where}: {part.size_bytes:,} bytes"
     yield f"flight    {recording.flight_id}"
     if counts:
         yield f"time      {_to_utc(recording.start_ns)} to {_to_utc(recording.end_ns)} UTC"
@@ -52,7 +55,7 @@ def _describe(recording: Recording) -> Iterator[str]:
         yield f"no camera {topic}: {reason}"
     for warning in recording.warnings:
         yield f"odd       {warning}"
-    for loss in recording.losses:
+    for loss in (*recording.losses, *recording.identity.losses):
         yield f"damaged   {loss}"
     yield f"process   {_intention(recording)}"
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.recording.types import SchemaName, WriteMode
+from inspect_pipeline.config import SchemaName, WriteMode
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 

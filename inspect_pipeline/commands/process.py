@@ -28,7 +28,7 @@ from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
     from inspect_pipeline.errors import InspectError
-    from inspect_pipeline.recording.types import ProcessResult
+    from inspect_pipeline.store.records import ProcessResult
 
 _ROW = (
     "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>12}  {n_segments:>10}  {seconds:>7}  {source}"
@@ -137,12 +137,12 @@ def process(
 def _those_that_are_there(files: list[Path]) -> tuple[list[Path], int]:
     """The recordings that a detector is worth loading for; of the others the errors are told."""
     from inspect_pipeline.errors import InspectError
-    from inspect_pipeline.recording.source import check_source
+    from inspect_pipeline.recording.reader import check_recording
 
     there, exit_code = [], 0
     for path in files:
         try:
-            check_source(path)
+            check_recording(path)
         except (InspectError, OSError) as error:
             exit_code = _tell(path, error)
         else:

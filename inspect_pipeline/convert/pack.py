@@ -16,7 +16,7 @@ from inspect_pipeline.convert.dji_srt import SubtitleBlock, parse_srt
 from inspect_pipeline.convert.exif import PhotographTags, read_tags
 from inspect_pipeline.errors import OutputError, RecordingError
 from inspect_pipeline.geometry.attitude import to_enu
-from inspect_pipeline.recording.joining import join_parts
+from inspect_pipeline.recording.join import join_parts
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.recording.split import find_parts
 from inspect_pipeline.recording.writer import new_recording
@@ -60,8 +60,8 @@ def pack(source: Path, target: Path) -> PackResult:
     try:
         if not source.is_dir():
             return pack_video(source, target)
-        if paths := find_parts(source):
-            return pack_parts(paths, target)
+        if find_parts(source):
+            return pack_parts(source, target)
         return pack_photographs(source, target)
     except OSError as error:
         what = error.filename or target
@@ -70,12 +70,14 @@ def pack(source: Path, target: Path) -> PackResult:
         ) from error
 
 
-def pack_parts(paths: Sequence[Path], target: Path) -> PackResult:
-    """A recording of the parts of one."""
-    parts = [open_recording(path) for path in paths]
-    n_messages = join_parts(parts, target)
-    losses = (f"{part.path}: {loss}" for part in parts for loss in part.losses)
-    return PackResult({"parts": len(parts), "messages": n_messages}, tuple(losses))
+def pack_parts(folder: Path, target: Path) -> PackResult:
+    """Make one file of the parts of a split recording."""
+    recording = open_recording(folder)
+    if recording.is_annotated_copy:
+        raise RecordingError(recording.path, "it carries annotations already", "use what it was made from")
+    n_messages, losses = join_parts(recording, target)
+    losses = tuple(dict.fromkeys((*recording.losses, *losses)))
+    return PackResult({"parts": len(recording.parts), "messages": n_messages}, losses)
 
 
 def pack_photographs(folder: Path, target: Path) -> PackResult:

@@ -21,10 +21,13 @@ from inspect_pipeline.messages.pose import parser_for
 from inspect_pipeline.recording.frames import iter_channel_messages
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from inspect_pipeline.arrays import Floats
     from inspect_pipeline.messages.pose import Parser
+    from inspect_pipeline.recording.merge import Message
     from inspect_pipeline.recording.reader import Recording
 
 
@@ -77,6 +80,7 @@ class PoseSample(NamedTuple):
 class PoseTrack:
     """What is known of a flight's poses, each from the one channel that has most of it.
 
+    losses: what could not be read of the recording.
     positions: latitude_deg, longitude_deg, altitude_m (NaN where unknown). vehicle: yaw_deg, pitch_deg,
     roll_deg. camera: the same, and 1 where the yaw counts from that of the vehicle. heights: height_m.
     """
@@ -85,6 +89,7 @@ class PoseTrack:
     vehicle: PoseSamples
     camera: PoseSamples
     heights: PoseSamples = field(default_factory=PoseSamples)
+    losses: tuple[str, ...] = ()
 
     def at(self, time_ns: int) -> Pose | None:
         """The pose at a log time; None before the first message, and without any."""
@@ -126,15 +131,18 @@ class PoseTrack:
 def read_poses(recording: Recording) -> PoseTrack:
     """The poses of a recording; an empty track when it has none.
 
-    Messages that cannot be taken apart are passed over. Raises RecordingError when chunks cannot be read
-    of a `strict` recording; else they are noted in its losses.
+    Messages that cannot be parsed are skipped. Raises RecordingError when chunks cannot be read of a `strict`
+    recording; otherwise they are in the track's losses.
     """
-    kinds = _read_kinds(recording, _parsers(recording))
+    parsers = _parsers(recording)
+    messages = iter_channel_messages(recording, parsers.keys())
+    kinds = _read_kinds(messages, parsers)
     return PoseTrack(
         positions=_longest(kinds["position"]),
         vehicle=_longest(kinds["vehicle"]),
         camera=_longest(kinds["camera"]),
         heights=_longest(kinds["height"]),
+        losses=messages.losses,
     )
 
 
@@ -176,9 +184,9 @@ def _parsers(recording: Recording) -> dict[int, Parser]:
     return found
 
 
-def _read_kinds(recording: Recording, parsers: dict[int, Parser]) -> dict[str, _RowsByChannel]:
+def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict[str, _RowsByChannel]:
     kinds: dict[str, _RowsByChannel] = defaultdict(lambda: defaultdict(_Rows))
-    for message in iter_channel_messages(recording, parsers.keys()):
+    for message in messages:
         try:
             found = parsers[message.channel_id](message.data)
         except MALFORMED:

@@ -25,7 +25,9 @@ from mcap.records import Channel, Header, Metadata, MetadataIndex, Schema
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording.append_chunks import ChunkBuilder, encode_message_indexes, message_index
 from inspect_pipeline.recording.append_summary import Contents, encode_end, encode_records
-from inspect_pipeline.recording.file import Damage, RecordingFile, read_extent
+from inspect_pipeline.recording.file import Damage, read_extent
+from inspect_pipeline.recording.join import join_parts
+from inspect_pipeline.recording.part import open_parts
 from inspect_pipeline.recording.summary import MAGIC
 from inspect_pipeline.resources import app_version
 
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
+    from inspect_pipeline.recording.part import Part
     from inspect_pipeline.recording.reader import Recording
 
 _COPY_BYTES = 256 << 20
@@ -46,30 +49,56 @@ _NO_COPY_RANGE = {errno.EXDEV, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, err
 def annotated_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
     """Write a copy of `source` with annotations to `target`, which must not exist.
 
+    A recording of several parts, or with messages after its end, is written as one file first.
     On a clean exit the copy is complete, on an exception it is removed. Raises RecordingError when the source
     is an annotated copy itself or changes meanwhile, OSError when the target cannot be written.
     """
     _refuse_annotated(source)
-    end = source.layout.data_end
-    with _new_file(target) as file, unchanged(source), source.path.open("rb") as original:
+    (first, *others) = source.parts
+    copying = _joined_copy if others or first.layout.has_early_end else _prefix_copy
+    with _removed_on_error(target), unchanged(source), copying(source, target) as writer:
+        yield writer
+
+
+@contextmanager
+def _prefix_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
+    """Copy the bytes of the only part up to its Data End record."""
+    (part,) = source.parts
+    end = part.layout.data_end
+    with target.open("xb") as file, part.path.open("rb") as original:
         file.seek(end)
-        writer = AnnotationWriter(file, source, Contents.of(source), end, source.layout.data_crc)
-        writer.index_cut_chunk()
+        writer = AnnotationWriter(file, source, Contents.of(part), end, part.layout.data_crc)
+        writer.index_cut_chunk(part)
         with _copying(original, file, end):
             yield writer
             writer.finish()
 
 
 @contextmanager
+def _joined_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
+    """Write all parts as one file, and annotations in place of its end."""
+    _, losses = join_parts(source, target)
+    (joined,) = open_parts(target)
+    end = joined.layout.data_end
+    with target.open("r+b") as file:
+        file.truncate(end)
+        file.seek(end)
+        contents, data_crc = Contents.of(joined), joined.layout.data_crc
+        writer = AnnotationWriter(file, source, contents, end, data_crc, losses=losses)
+        yield writer
+        writer.finish()
+
+
+@contextmanager
 def sidecar(source: Recording, target: Path, profile: str = "") -> Iterator[AnnotationWriter]:
-    """Write a file with nothing but annotations of `source` to `target`; else as `annotated_copy`.
+    """Write a file with nothing but annotations of `source` to `target`; otherwise like `annotated_copy`.
 
     `profile` is that of its header, "ros2" when all its messages are.
     """
     _refuse_annotated(source)
     header = Header(profile=profile, library=f"lsnet-pipe {app_version()}")
     start = MAGIC + encode_records([header])
-    with _new_file(target) as file, unchanged(source):
+    with _removed_on_error(target), unchanged(source), target.open("xb") as file:
         file.write(start)
         writer = AnnotationWriter(file, source, Contents(), len(start), zlib.crc32(start))
         yield writer
@@ -78,22 +107,32 @@ def sidecar(source: Recording, target: Path, profile: str = "") -> Iterator[Anno
 
 @contextmanager
 def unchanged(source: Recording) -> Iterator[None]:
-    """Raise RecordingError on a clean exit when the file is no longer the one that was opened."""
-    before = _fingerprint(source.path)
+    """Raise RecordingError on a clean exit when a file is no longer the one that was opened."""
+    before = {path: _fingerprint(path) for path in source.files}
     yield
-    if _fingerprint(source.path) != before or before[0] != source.size_bytes:
-        raise RecordingError(source.path, "it changed while it was read", "wait until it is complete")
+    for path, size_bytes in source.files.items():
+        if _fingerprint(path) != before[path] or before[path][0] != size_bytes:
+            raise RecordingError(path, "it changed while it was read", "wait until it is complete")
 
 
 class AnnotationWriter:
     """Appends channels, messages and metadata behind the `position` bytes that `file` already has.
 
-    `data_crc` is the CRC-32 of those bytes, or 0 when it is not known.
+    `data_crc` is the CRC-32 of those bytes, or 0 when it is not known. `losses` has a phrase for each stretch
+    of the source that could not be copied.
     """
 
     def __init__(
-        self, file: BinaryIO, source: Recording, contents: Contents, position: int, data_crc: int
+        self,
+        file: BinaryIO,
+        source: Recording,
+        contents: Contents,
+        position: int,
+        data_crc: int,
+        *,
+        losses: tuple[str, ...] = (),
     ) -> None:
+        self.losses = losses
         self._file = file
         self._source = source
         self._contents = contents
@@ -114,8 +153,8 @@ class AnnotationWriter:
         metadata: Mapping[str, str],
     ) -> int:
         """The id of a new channel. Raises RecordingError when the recording has a channel of this topic."""
-        taken = (*self._source.layout.channels.values(), *self._contents.channels.values())
-        if any(channel.topic == topic for channel in taken):
+        taken = {channel.topic for channel in self._source.channels}
+        if topic in taken | {channel.topic for channel in self._contents.channels.values()}:
             raise RecordingError(
                 self._source.path, f"it has a channel {topic} already", "process it with --write none"
             )
@@ -141,13 +180,13 @@ class AnnotationWriter:
         self._contents.metadata.append(MetadataIndex(self._position, len(record), name))
         self._append(record)
 
-    def index_cut_chunk(self) -> None:
+    def index_cut_chunk(self, part: Part) -> None:
         """Append the message indexes that a cut took from the last chunk: players refuse a file with gaps."""
-        last = self._source.layout.extents[-1:]
-        chunk = last[0].chunk if last and self._source.losses else None
+        last = part.layout.extents[-1:]
+        chunk = last[0].chunk if last and part.layout.losses else None
         if chunk is None or chunk.message_index_offsets or last[0].offset + last[0].length != self._position:
             return
-        with RecordingFile(self._source.path) as file, suppress(Damage):
+        with suppress(Damage), part.open() as file:
             index = message_index(read_extent(file, last[0]))
             encoded, offsets = encode_message_indexes(index, self._position)
             self._contents.chunks[-1] = replace(
@@ -208,14 +247,15 @@ def _fingerprint(path: Path) -> tuple[int, int, int]:
 
 
 @contextmanager
-def _new_file(target: Path) -> Iterator[BinaryIO]:
-    """A file at `target` that is gone after an exception."""
-    with target.open("xb") as file:
-        try:
-            yield file
-        except BaseException:
-            target.unlink(missing_ok=True)
-            raise
+def _removed_on_error(target: Path) -> Iterator[None]:
+    """Remove `target` after an exception. Raises FileExistsError when it exists already."""
+    if target.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+    try:
+        yield
+    except BaseException:
+        target.unlink(missing_ok=True)
+        raise
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from inspect_pipeline.recording.part import part_counts
 from inspect_pipeline.recording.summary import MAGIC
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from mcap.records import McapRecord
 
-    from inspect_pipeline.recording.reader import Recording
+    from inspect_pipeline.recording.part import Part
 
 _FOOTER_CRC_BYTES = 4
 
@@ -54,10 +55,11 @@ class Contents:
     used_channel_ids: set[int] = field(default_factory=set)
 
     @classmethod
-    def of(cls, source: Recording) -> Contents:
-        """The contents of a recording."""
-        layout = source.layout
-        counts = source.message_counts()
+    def of(cls, part: Part) -> Contents:
+        """Return the contents of an MCAP file."""
+        layout = part.layout
+        counts = part_counts(part)
+        extents = [e for e in layout.extents if e.channel_ids is None or e.channel_ids]
         ids = set[int]().union(*(extent.channel_ids or () for extent in layout.extents))
         return cls(
             schemas=dict(layout.schemas),
@@ -66,8 +68,8 @@ class Contents:
             attachments=list(layout.attachments),
             metadata=list(layout.metadata),
             message_counts=counts,
-            start_ns=source.start_ns if counts.total() else None,
-            end_ns=source.end_ns if counts.total() else None,
+            start_ns=min((e.start_ns for e in extents), default=0) if counts.total() else None,
+            end_ns=max((e.end_ns for e in extents), default=0) if counts.total() else None,
             used_channel_ids=ids.union(layout.channels, counts),
             has_loose_messages=any(extent.chunk is None for extent in layout.extents),
         )

@@ -6,19 +6,23 @@ import re
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from inspect_pipeline.images import decode as images
-from inspect_pipeline.recording.file import MESSAGE_HEAD, Damage, message_entries, read_extent
+from inspect_pipeline.images.decode import refusal
+from inspect_pipeline.messages import image as image_messages
+from inspect_pipeline.messages.image import ImageError, parse
+from inspect_pipeline.recording.file import MESSAGE_HEAD, Damage, iter_messages, read_extent
 from inspect_pipeline.recording.types import CameraChannel
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from inspect_pipeline.recording.file import RecordingFile
-    from inspect_pipeline.recording.layout import Layout
+    from inspect_pipeline.messages.image import ImageMessage
+    from inspect_pipeline.recording.file import Extent
+    from inspect_pipeline.recording.part import Part
     from inspect_pipeline.recording.types import ChannelSummary
 
 # Last parts of a topic that name the form of its images, not the camera.
 _FORMS = frozenset({"compressed", "raw", "image", "image_raw", "image_color", "image_compressed"})
+_MAX_SAMPLES = 16  # first messages of a channel that are parsed to see what it holds
 
 
 class Cameras(NamedTuple):
@@ -29,16 +33,19 @@ class Cameras(NamedTuple):
     video_channel_ids: frozenset[int]
 
 
-def find_cameras(file: RecordingFile, layout: Layout, channels: Iterable[ChannelSummary]) -> Cameras:
-    """The channels of colour images that have messages. Of a camera in several forms the fullest topic."""
+def find_cameras(parts: Sequence[Part], channels: Iterable[ChannelSummary]) -> Cameras:
+    """Find the channels of colour images that have messages.
+
+    Of a camera that was recorded in several forms the topic with most messages is taken.
+    """
+    used = [channel for channel in channels if channel.message_count != 0]
+    samples = _sample_images(parts, [channel for channel in used if is_image(channel)])
     pictures, refusals, video_ids = [], {}, set()
-    for channel in channels:
-        if channel.message_count == 0:
-            continue
-        first = _first_image(file, layout, channel)
-        if first and first.is_video:
+    for channel in used:
+        of_channel = samples.get(channel.channel_id, [])
+        if any(image.is_video for image in of_channel):
             video_ids.add(channel.channel_id)
-        if reason := _refusal(channel, first):
+        if reason := _refusal(channel, of_channel):
             refusals[channel.topic] = reason
         elif is_image(channel):
             pictures.append(channel)
@@ -61,7 +68,7 @@ def _one_topic_per_camera(pictures: Iterable[ChannelSummary]) -> Collection[str]
 
 def is_image(channel: ChannelSummary) -> bool:
     """Whether the messages of a channel are images that can be read."""
-    return images.is_image(channel.schema_name, channel.message_encoding)
+    return image_messages.is_image(channel.schema_name, channel.message_encoding)
 
 
 def to_camera(channel: ChannelSummary) -> CameraChannel:
@@ -83,35 +90,60 @@ def _camera_name(topic: str) -> str:
     return "/".join(parts)
 
 
-def _refusal(channel: ChannelSummary, first: images.ImageMessage | None) -> str | None:
-    """Why a channel of images is not processed, by its first one; one that cannot be read is no reason."""
+def _refusal(channel: ChannelSummary, samples: Sequence[ImageMessage]) -> str | None:
+    """Say why the images of a channel are not processed; None when one of the samples can be."""
     if not is_image(channel):
         is_alike = re.search(r"(Image|Video)$", channel.schema_name)
         return f"{channel.schema_name} in {channel.message_encoding} is not read" if is_alike else None
-    return images.refusal(first, channel.topic) if first else None
+    reasons = [refusal(image, channel.topic) for image in samples]
+    return reasons[0] if all(reasons) and reasons else None
 
 
-def _first_image(file: RecordingFile, layout: Layout, channel: ChannelSummary) -> images.ImageMessage | None:
-    """The first message of a channel of images; None when it cannot be read, and of other channels."""
-    payload = _first_payload(file, layout, channel.channel_id) if is_image(channel) else None
-    if payload is None:
-        return None
+def _sample_images(
+    parts: Sequence[Part], channels: Iterable[ChannelSummary]
+) -> Mapping[int, list[ImageMessage]]:
+    """Parse some of the first images of each channel, by channel id; those without content are left out.
+
+    A first message may be empty, cut or of another kind than those that follow, so one alone decides nothing.
+    Every extent is read at most once, and none for channels that have samples.
+    """
+    samples: dict[int, list[ImageMessage]] = {}
+    missing = {channel.channel_id: channel for channel in channels}
+    for part in parts:
+        for extent in part.layout.extents:
+            ids = extent.channel_ids
+            if not missing:
+                return samples
+            if ids is not None and missing.keys().isdisjoint(part.ids[i] for i in ids if i in part.ids):
+                continue
+            for channel_id, payload in _first_payloads(part, extent, missing.keys()):
+                if image := _parse(missing[channel_id], payload):
+                    samples.setdefault(channel_id, []).append(image)
+            missing = {i: channel for i, channel in missing.items() if i not in samples}
+    return samples
+
+
+def _first_payloads(part: Part, extent: Extent, channel_ids: Collection[int]) -> list[tuple[int, memoryview]]:
+    """Return (channel id, payload) of the first messages in an extent, a few of each channel."""
     try:
-        return images.parse(channel.schema_name, channel.message_encoding, payload)
-    except images.ImageError:
-        return None
-
-
-def _first_payload(file: RecordingFile, layout: Layout, channel_id: int) -> memoryview | None:
-    for extent in layout.extents:
-        if extent.channel_ids is not None and channel_id not in extent.channel_ids:
-            continue
-        try:
+        with part.open() as file:
             records = read_extent(file, extent)
-            entries = message_entries(records, frozenset({channel_id}))
-        except Damage:
-            continue
-        if entries:
-            _, start, end = entries[0]
-            return memoryview(records)[start + MESSAGE_HEAD.size : end]
-    return None
+        messages = list(iter_messages(records))
+    except Damage:
+        return []
+    counts, found = Counter[int](), []
+    for channel_id, start, end in messages:
+        i = part.ids.get(channel_id)
+        if i is not None and i in channel_ids and counts[i] < _MAX_SAMPLES:
+            counts[i] += 1
+            found.append((i, memoryview(records)[start + MESSAGE_HEAD.size : end]))
+    return found
+
+
+def _parse(channel: ChannelSummary, payload: memoryview) -> ImageMessage | None:
+    """Parse an image; None when it is malformed or has no content."""
+    try:
+        image = parse(channel.schema_name, channel.message_encoding, payload)
+    except ImageError:
+        return None
+    return image if image.data else None

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
 MAX_CHUNK_BYTES = 256 << 20  # writers use 1 to 16 MiB; beyond this a length is damage or an attack
-STRICT_REMEDY = "without --strict the readable part is processed"
 _CHUNK_HEAD = struct.Struct(
     "<QQQII"
 )  # start, end, uncompressed size, uncompressed crc, length of compression
@@ -43,20 +42,18 @@ class Damage(Exception):  # noqa: N818 - a fact about the file, turned into Reco
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[RecordingFile]:
-    """Open a recording for reading. Whatever goes wrong with it inside is raised as RecordingError."""
+def opened(path: Path, start: int = 0, size_bytes: int | None = None) -> Iterator[RecordingFile]:
+    """Open a file, or `size_bytes` of it from `start` on, for reading.
+
+    Raises RecordingError when it cannot be opened, and for any OSError of the block.
+    """
     try:
         mode = path.stat().st_mode
-        if stat.S_ISDIR(mode):
-            raise RecordingError(
-                path, "it is a folder, not a file", f"make one recording of it: lsnet-pipe pack {path} FILE"
-            )
         if not stat.S_ISREG(mode):
-            raise RecordingError(path, "it is not a file", "name an MCAP file")
-        with RecordingFile(path) as file:
+            what = "a folder" if stat.S_ISDIR(mode) else "no regular file"
+            raise RecordingError(path, f"it is {what}, not an MCAP file", "name an MCAP file")
+        with RecordingFile(path, start, size_bytes) as file:
             yield file
-    except Damage as damage:
-        raise RecordingError(path, str(damage), "name an intact MCAP file, or copy it again") from damage
     except FileNotFoundError as error:
         raise RecordingError(path, "there is no such file", "check the name") from error
     except OSError as error:
@@ -65,15 +62,27 @@ def reading(path: Path) -> Iterator[RecordingFile]:
         ) from error
 
 
+@contextmanager
+def reading(path: Path, start: int = 0, size_bytes: int | None = None) -> Iterator[RecordingFile]:
+    """Open a file as `opened` does, and raise RecordingError also for any Damage of the block."""
+    with opened(path, start, size_bytes) as file:
+        try:
+            yield file
+        except Damage as damage:
+            raise RecordingError(path, str(damage), "name an intact MCAP file, or copy it again") from damage
+
+
 class RecordingFile:
-    """Bounded random access to a file: no read goes past its end, none moves a position.
+    """Random access to a range of bytes of a file; offsets count from the start of the range.
 
     Raises OSError when the file cannot be opened.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, start: int = 0, size_bytes: int | None = None) -> None:
         self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        self.size_bytes = os.fstat(self._descriptor).st_size
+        self.start = start
+        all_bytes = os.fstat(self._descriptor).st_size
+        self.size_bytes = all_bytes - start if size_bytes is None else size_bytes
 
     def __enter__(self) -> Self:
         return self
@@ -84,12 +93,12 @@ class RecordingFile:
         os.close(self._descriptor)
 
     def read(self, offset: int, length: int) -> bytes:
-        """Exactly `length` bytes from `offset`. Raises Damage where the file is shorter."""
+        """Read exactly `length` bytes at `offset`. Raises Damage when the file is shorter."""
         if offset + length > self.size_bytes:
             raise Damage("the file is cut off")
         parts = []
         while length > 0:
-            part = os.pread(self._descriptor, length, offset)
+            part = os.pread(self._descriptor, length, self.start + offset)
             if not part:
                 raise Damage("the file became shorter while it was read")
             parts.append(part)
@@ -97,7 +106,7 @@ class RecordingFile:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def record_head(self, offset: int) -> tuple[int, int]:
-        """(opcode, length of the body) of the record at `offset`. Raises Damage when it is not all there."""
+        """Return (opcode, length of the body) of the record at `offset`. Raises Damage when it is cut off."""
         opcode, length = RECORD_HEAD.unpack(self.read(offset, RECORD_HEAD.size))
         if offset + RECORD_HEAD.size + length > self.size_bytes:
             raise Damage("the file is cut off")
@@ -213,15 +222,23 @@ def iter_records(records: bytes) -> Iterator[tuple[int, int, int]]:
         at += length
 
 
-def message_entries(records: bytes, channel_ids: frozenset[int]) -> list[tuple[int, int, int]]:
-    """(log time, start, end of the body) of each message of `channel_ids`, in file order; raises Damage."""
-    entries = []
+def iter_messages(records: bytes) -> Iterator[tuple[int, int, int]]:
+    """Iterate over (channel id, start of the body, end of the body) of the messages. Raises Damage."""
     for opcode, start, end in iter_records(records):
         if opcode != Opcode.MESSAGE:
             continue
         if end - start < MESSAGE_HEAD.size:
             raise Damage("a message is shorter than its head")
-        channel_id, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(records, start)
+        yield MESSAGE_HEAD.unpack_from(records, start)[0], start, end
+
+
+def message_entries(records: bytes, channel_ids: frozenset[int]) -> list[tuple[int, int, int]]:
+    """Return (log time, start, end of the body) of each message of `channel_ids`, in file order.
+
+    Raises Damage.
+    """
+    entries = []
+    for channel_id, start, end in iter_messages(records):
         if channel_id in channel_ids:
-            entries.append((log_time_ns, start, end))
+            entries.append((MESSAGE_HEAD.unpack_from(records, start)[2], start, end))
     return entries

@@ -2,121 +2,151 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from typing import TYPE_CHECKING
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.images import decode as images
+from inspect_pipeline.images.decode import decode
 from inspect_pipeline.images.video import VideoDecoder
-from inspect_pipeline.recording.file import STRICT_REMEDY, Damage, reading
+from inspect_pipeline.messages.image import ImageError, ImageMessage, parse
+from inspect_pipeline.recording.file import Damage
 from inspect_pipeline.recording.layout import count_messages
-from inspect_pipeline.recording.merge import Message, iter_messages
+from inspect_pipeline.recording.merge import Message, PartExtent, merge_messages
 from inspect_pipeline.recording.types import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Sequence
 
-    from inspect_pipeline.recording.file import Extent, RecordingFile
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel
 
+_T = TypeVar("_T")
 _MAX_WAITING_BYTES = 64 << 20  # of messages behind a picture that does not come out of its video
 _NEVER_NS = 1 << 64  # beyond every log time
 _MAX_TIME_NS = (1 << 63) - 1  # the year 2262; later ones are damage, and databases do not hold them
 
 
+class RecordingIterator(Iterator[_T], Generic[_T]):
+    """What is read from a recording.
+
+    losses: one phrase for each stretch that could not be read so far.
+    warnings: what is odd about what was read so far but prevents nothing, one phrase each.
+    """
+
+    def __init__(self, items: Iterator[_T], losses: Losses, stamps: StampCheck | None = None) -> None:
+        self._items, self._losses, self._stamps = items, losses, stamps
+
+    def __next__(self) -> _T:
+        return next(self._items)
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        return tuple(self._losses.phrases)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(self._stamps.warnings()) if self._stamps else ()
+
+
 def iter_frames(
     recording: Recording,
-    topics: Collection[str] | None = None,
+    cameras: Sequence[CameraChannel] | None = None,
+    *,
     every: int = 1,
     start_ns: int | None = None,
     end_ns: int | None = None,
-) -> Iterator[Frame]:
-    """The camera frames with start_ns <= log time < end_ns in log-time order, ties by position in the file.
+) -> RecordingIterator[Frame]:
+    """Iterate over camera frames in log-time order, ties by position in the file.
 
-    frame_idx counts every image message of a channel, and only frames whose frame_idx is a multiple of
-    `every` are decoded, of a video also those they stand on. Raises RecordingError: at the call when there
-    is no such camera, while iterating when nothing can be read, or anything is lost of a `strict` recording.
+    Args:
+        recording: where to read.
+        cameras: whose frames, of `recording.select_cameras`; all colour cameras by default.
+        every: decode only frames whose frame_idx, which counts every image message of a channel, is a
+            multiple of this; of a video also those that they depend on.
+        start_ns: only frames with start_ns <= log time.
+        end_ns: only frames with log time < end_ns.
+
+    Raises:
+        RecordingError: at the call when there is no camera; while iterating when nothing can be read, or
+            anything is lost of a `strict` recording.
     """
-    cameras = recording.select_cameras(topics)
-    return _iter_frames(recording, cameras, every, start_ns, end_ns)
+    if cameras is None:
+        cameras = recording.select_cameras()
+    losses, stamps = Losses(recording), StampCheck()
+    frames = _iter_frames(recording, cameras, losses, every=every, start_ns=start_ns, end_ns=end_ns)
+    return RecordingIterator(stamps.checked(frames), losses, stamps)
 
 
 def _iter_frames(
     recording: Recording,
-    cameras: tuple[CameraChannel, ...],
+    cameras: Sequence[CameraChannel],
+    losses: Losses,
+    *,
     every: int,
     start_ns: int | None,
     end_ns: int | None,
 ) -> Iterator[Frame]:
     by_id = {camera.channel_id: camera for camera in cameras}
-    losses = _Losses(recording)
     first_ns, last_ns = start_ns or 0, _NEVER_NS if end_ns is None else end_ns
-    with reading(recording.path) as file:
-        extents = [
-            e for e in recording.layout.extents if e.channel_ids is None or e.channel_ids & by_id.keys()
-        ]
-        videos = {i: VideoDecoder() for i in by_id.keys() & recording.video_channel_ids}
-        read_ns = 0 if videos else first_ns  # a video may begin long before its picture at `start_ns`
-        n_seen = _count_before(file, extents, read_ns, losses)
-        overlapping = [e for e in extents if e.end_ns >= read_ns and e.start_ns < last_ns]
-        waiting = _Queue()
-        for message in iter_messages(file, overlapping, frozenset(by_id), losses.add):
-            camera, video = by_id[message.channel_id], videos.get(message.channel_id)
-            frame_idx = n_seen[message.channel_id]
-            n_seen[message.channel_id] += 1
-            is_wanted = first_ns <= message.log_time_ns < last_ns and frame_idx % every == 0
-            if is_wanted or video:
-                frame = _Waiting(camera, frame_idx, message, video)
-                waiting.add(frame, is_wanted=is_wanted)
-            yield from waiting.settled()
-        for video in videos.values():
-            video.finish()
+    extents = recording.extents(by_id)
+    videos = {i: VideoDecoder() for i in by_id.keys() & recording.video_channel_ids}
+    read_ns = 0 if videos else first_ns  # a video may begin long before its picture at `start_ns`
+    n_seen = _count_before(extents, read_ns, losses)
+    overlapping = [e for e in extents if e.extent.end_ns >= read_ns and e.extent.start_ns < last_ns]
+    waiting = _Queue()
+    for message in merge_messages(overlapping, frozenset(by_id), losses.add):
+        frame_idx = n_seen[message.channel_id]
+        n_seen[message.channel_id] += 1
+        is_wanted = first_ns <= message.log_time_ns < last_ns and frame_idx % every == 0
+        if is_wanted or message.channel_id in videos:
+            frame = _Waiting(by_id[message.channel_id], frame_idx, message, videos)
+            waiting.add(frame, is_wanted=is_wanted)
         yield from waiting.settled()
+    for video in videos.values():
+        video.finish()
+    yield from waiting.settled()
     if losses.n_extents and losses.n_extents == len(extents):
-        raise RecordingError(recording.path, recording.losses[-1], "not one image can be read, copy it again")
+        raise RecordingError(recording.path, losses.phrases[-1], "not one image can be read, copy it again")
 
 
-def iter_channel_messages(recording: Recording, channel_ids: Collection[int]) -> Iterator[Message]:
-    """The messages of some channels in log-time order.
+def iter_channel_messages(recording: Recording, channel_ids: Collection[int]) -> RecordingIterator[Message]:
+    """Iterate over the messages of some channels in log-time order.
 
     Raises RecordingError when anything is lost of a `strict` recording.
     """
-    wanted = frozenset(channel_ids)
-    if not wanted:
-        return
-    extents = [e for e in recording.layout.extents if e.channel_ids is None or e.channel_ids & wanted]
-    with reading(recording.path) as file:
-        yield from iter_messages(file, extents, wanted, _Losses(recording).add)
+    losses = Losses(recording)
+    extents = recording.extents(channel_ids) if channel_ids else []
+    return RecordingIterator(merge_messages(extents, frozenset(channel_ids), losses.add), losses)
 
 
-class _Losses:
-    """Extents that cannot be read: noted in the recording, or refused when it is strict."""
+class Losses:
+    """Collects the extents that cannot be read; raises RecordingError for those of a strict recording."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self.n_extents = 0
+        self.phrases: list[str] = []
 
-    def add(self, extent: Extent, damage: Damage) -> None:
+    def add(self, extent: PartExtent, damage: Damage) -> None:
+        """Add an extent."""
         self.n_extents += 1
-        loss = f"{damage} at byte {extent.offset:,}"
-        if self._recording.strict:
-            raise RecordingError(self._recording.path, loss, STRICT_REMEDY)
-        if loss not in self._recording.losses:
-            self._recording.losses.append(loss)
+        offset = extent.part.start + extent.extent.offset
+        self.phrases.append(self._recording.loss_in(extent.part, f"{damage} at byte {offset:,}"))
 
 
-def _count_before(
-    file: RecordingFile, extents: Iterable[Extent], start_ns: int, losses: _Losses
-) -> Counter[int]:
-    """Messages per channel in the extents that end before `start_ns`."""
+def _count_before(extents: Iterable[PartExtent], start_ns: int, losses: Losses) -> Counter[int]:
+    """Count messages per channel in the extents that end before `start_ns`."""
     counts = Counter[int]()
-    for extent in extents:
-        if extent.end_ns < start_ns:
+    for each in extents:
+        if each.extent.end_ns < start_ns:
             try:
-                counts += count_messages(file, extent)
+                with each.part.open() as file:
+                    found = count_messages(file, each.extent)
             except Damage as damage:
-                losses.add(extent, damage)
+                losses.add(each, damage)
+            else:
+                counts.update({each.part.ids[i]: n for i, n in found.items() if i in each.part.ids})
     return counts
 
 
@@ -124,17 +154,19 @@ class _Waiting:
     """A frame whose picture is decoded when its turn comes; one of a video may come out of it later."""
 
     def __init__(
-        self, camera: CameraChannel, frame_idx: int, message: Message, video: VideoDecoder | None
+        self, camera: CameraChannel, frame_idx: int, message: Message, videos: dict[int, VideoDecoder]
     ) -> None:
         self._camera, self._frame_idx, self._message = camera, frame_idx, message
-        self._parsed: images.ImageMessage | None = None
+        self._parsed: ImageMessage | None = None
         self._error: str | None = None
+        self._video: VideoDecoder | None = None
         try:
-            self._parsed = images.parse(camera.schema_name, camera.message_encoding, message.data)
-        except images.ImageError as reason:
+            self._parsed = parse(camera.schema_name, camera.message_encoding, message.data)
+        except ImageError as reason:
             self._error = str(reason)
-        # What says by its first bytes that it is a picture is none of the video.
-        self._video = video if self._parsed and self._parsed.is_video else None
+        # A message that is a picture by its first bytes does not belong to the video of its channel.
+        if self._parsed and self._parsed.is_video and self._parsed.data:
+            self._video = videos.setdefault(camera.channel_id, VideoDecoder())
 
     @property
     def n_bytes(self) -> int:
@@ -142,21 +174,21 @@ class _Waiting:
         return len(self._message.data)
 
     def add_to_video(self, *, is_wanted: bool) -> None:
-        """Let the video have the message."""
+        """Pass the message to the decoder of its video, if it belongs to one."""
         if self._video and self._parsed:
             self._video.add(self._frame_idx, self._parsed, is_wanted=is_wanted)
 
     def is_settled(self) -> bool:
-        """Whether the picture can be had."""
+        """Whether the picture, or that there is none, is known."""
         return self._video is None or self._video.is_settled(self._frame_idx)
 
     def to_frame(self) -> Frame:
-        """The frame, with its picture or the reason why there is none."""
+        """Return the frame, with its picture or the reason why there is none."""
         parsed, image, error = self._parsed, None, self._error
         if parsed:
             try:
-                image = self._video.take(self._frame_idx) if self._video else images.decode(parsed)
-            except images.ImageError as reason:
+                image = self._video.take(self._frame_idx) if self._video else decode(parsed)
+            except ImageError as reason:
                 error = str(reason)
         log_time_ns = min(self._message.log_time_ns, _MAX_TIME_NS)
         return Frame(
@@ -180,14 +212,49 @@ class _Queue:
         self._n_bytes = 0
 
     def add(self, frame: _Waiting, *, is_wanted: bool) -> None:
+        """Add a frame behind the others; one that is not wanted only goes into its video."""
         frame.add_to_video(is_wanted=is_wanted)
         if is_wanted:
             self._frames.append(frame)
             self._n_bytes += frame.n_bytes
 
     def settled(self) -> Iterator[Frame]:
-        """Take the frames from the front whose pictures can be had, or that have waited too long."""
+        """Take the frames from the front whose pictures are known, or that have waited too long."""
         while self._frames and (self._frames[0].is_settled() or self._n_bytes > _MAX_WAITING_BYTES):
             frame = self._frames.popleft()
             self._n_bytes -= frame.n_bytes
             yield frame.to_frame()
+
+
+class StampCheck:
+    """Counts header stamps by which viewers cannot match annotations to images, per topic."""
+
+    _NO_STAMP = "images without a header stamp"
+    _REPEATED = "images with the header stamp of the one before"
+    _BACKWARDS = "images with a header stamp before that of the one before"
+
+    def __init__(self) -> None:
+        self._last_ns: dict[str, int] = {}
+        self._counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+
+    def checked(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """Iterate over the same frames, which must be in log-time order, and check each."""
+        for frame in frames:
+            self.check(frame)
+            yield frame
+
+    def check(self, frame: Frame) -> None:
+        """Compare the stamp of a frame with that of the one before."""
+        before_ns, self._last_ns[frame.topic] = self._last_ns.get(frame.topic, -1), frame.stamp_ns
+        if frame.stamp_ns == 0:
+            self._counts[frame.topic][self._NO_STAMP] += 1
+        elif frame.stamp_ns == before_ns:
+            self._counts[frame.topic][self._REPEATED] += 1
+        elif frame.stamp_ns < before_ns:
+            self._counts[frame.topic][self._BACKWARDS] += 1
+
+    def warnings(self) -> Iterator[str]:
+        """Iterate over one phrase per kind and topic."""
+        for topic, counts in sorted(self._counts.items()):
+            for kind, count in counts.items():
+                yield f"{topic}: {count:,} {kind}"

@@ -1,9 +1,10 @@
-"""Recordings: what an MCAP file holds. Its frames are read by `recording_frames`.
+"""Recordings: what an MCAP file, or a split recording, holds. Frames are read by `frames`.
 
-    open_recording(path) -> Recording        what is in it
+    recording = open_recording("flight.mcap")
+    cameras = recording.select_cameras()
+    for frame in iter_frames(recording, cameras): ...
 
-Times are integer nanoseconds, ranges are start <= t < end. What cannot be read is lost with a phrase in
-`Recording.losses`, or refused when the recording was opened with `strict`.
+Times are integer nanoseconds, ranges are start <= t < end.
 """
 
 from __future__ import annotations
@@ -11,53 +12,58 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeVar
-
-from mcap.records import Attachment, Metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording.cameras import find_cameras, is_image, to_camera
-from inspect_pipeline.recording.file import STRICT_REMEDY, Damage, RecordingFile, reading
-from inspect_pipeline.recording.layout import Layout, count_messages, read_layout
-from inspect_pipeline.recording.summary import load_record
-from inspect_pipeline.recording.types import ChannelSummary
+from inspect_pipeline.recording.file import reading
+from inspect_pipeline.recording.merge import PartExtent
+from inspect_pipeline.recording.part import number_channels, open_parts, part_counts, summarize_channels
+from inspect_pipeline.recording.split import find_parts
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
-    from pathlib import Path
+    from collections.abc import Collection, Mapping, Sequence
 
-    from mcap.records import AttachmentIndex, MetadataIndex
+    from mcap.records import Channel, Schema
 
-    from inspect_pipeline.recording.types import CameraChannel
+    from inspect_pipeline.recording.part import Part
+    from inspect_pipeline.recording.types import CameraChannel, ChannelSummary
 
 _DIGEST_BYTES = 1 << 20
 _PLAUSIBLE_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100
 _WRONG_UNITS = {"seconds": 1, "milliseconds": 10**3, "microseconds": 10**6}
 _YEAR_NS = 365 * 86_400 * 10**9
-_R = TypeVar("_R", Attachment, Metadata)
 RUN_METADATA = "lsnet_pipe.run"  # name of the Metadata record that marks an annotated copy
+
+
+class Identity(NamedTuple):
+    """The flight_id of a recording, and a phrase for each file whose bytes do not match their CRC."""
+
+    flight_id: str
+    losses: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What an MCAP file holds.
+    """What an MCAP file, or the folder of a split recording, holds.
 
+    path: the file or folder. parts: its MCAP files in order.
     start_ns, end_ns: first and last log time, both 0 without messages.
+    channels: of all parts. A single part keeps its channel ids; several are numbered anew, from 1.
     camera_channels: the colour cameras, each once, in the order of their topics.
-    refusals: topics of images that are no cameras, and why.
-    video_channel_ids: channels whose images are pieces of a video.
+    refusals: topics of images that are not cameras, and why.
+    video_channel_ids: channels with images that are pieces of a video.
     metadata: the Metadata records by name.
-    losses: one phrase per part that cannot be read; grows while frames are read.
-    layout: where the records lie, for those who append to the file.
-    made_of: the flight_id of what the file was made from, None when it is itself what was recorded.
+    losses: one phrase for each stretch that was found to be unreadable when the recording was opened.
+    strict: whether a loss raises RecordingError.
     """
 
     path: Path
-    size_bytes: int
+    parts: tuple[Part, ...]
     strict: bool
     profile: str
     start_ns: int
@@ -67,13 +73,17 @@ class Recording:
     refusals: Mapping[str, str]
     video_channel_ids: frozenset[int]
     metadata: Mapping[str, Mapping[str, str]]
-    layout: Layout
-    made_of: str | None = None
+    losses: tuple[str, ...]
 
     @property
-    def losses(self) -> list[str]:
-        """One phrase per part that cannot be read, in the order they were met."""
-        return self.layout.losses
+    def files(self) -> Mapping[Path, int]:
+        """The size in bytes of each file, in order."""
+        return {part.path: part.file_bytes for part in self.parts}
+
+    @property
+    def size_bytes(self) -> int:
+        """The size of all files together."""
+        return sum(self.files.values())
 
     @property
     def warnings(self) -> list[str]:
@@ -86,10 +96,11 @@ class Recording:
         years = (self.end_ns - self.start_ns) / _YEAR_NS
         if years > 1:
             found.append(f"its log times span {years:.0f} years")
-        starts = [e.start_ns for e in self.layout.extents if e.channel_ids is None or e.channel_ids]
-        n_early = sum(after < before for before, after in pairwise(starts))
-        if n_early:
-            found.append(f"its messages are out of order: {n_early:,} stretches begin before the one ahead")
+        for part in self.parts:
+            starts = [e.start_ns for e in part.layout.extents if e.channel_ids is None or e.channel_ids]
+            if n_early := sum(after < before for before, after in pairwise(starts)):
+                text = f"its messages are out of order: {n_early:,} stretches begin before the one ahead"
+                found.append(_name_part(self.parts, part, text))
         return found
 
     @property
@@ -97,34 +108,48 @@ class Recording:
         """Whether this program wrote annotations into the file."""
         return RUN_METADATA in self.metadata
 
-    @cached_property
+    @property
     def flight_id(self) -> str:
-        """SHA-256 of the content in hex; of a file made from others, that of the flight it belongs to.
+        """`identity.flight_id`; reads the whole recording at its first use. Raises RecordingError."""
+        return self.identity.flight_id
 
-        Reads the whole file once, and checks the CRC of the data section on the way where the file states
-        one. Raises RecordingError.
+    @cached_property
+    def identity(self) -> Identity:
+        """The flight_id, and what its computation found to be damaged.
+
+        It is the SHA-256 in hex of the file, or of the lines with those of several files; of an annotated
+        copy, that of the flight it belongs to. Reads all files once, and checks the CRC of each data section
+        on the way. Raises RecordingError.
         """
-        named = self.made_of or self.metadata.get(RUN_METADATA, {}).get("flight_id")
+        named = self.metadata.get(RUN_METADATA, {}).get("flight_id")
         if named:
-            return named
-        with reading(self.path) as file:
-            sha256, data_crc = _digest(file, self.layout.data_end if self.layout.data_crc else 0)
-        if data_crc != self.layout.data_crc:
-            self._lose("its data section does not match its CRC")
-        return sha256
+            return Identity(named, ())
+        sums, losses = [], []
+        for path in self.files:
+            parts = [part for part in self.parts if part.path == path]
+            sha256, crc = _digest(path, parts[0].layout.data_end if parts[0].layout.data_crc else 0)
+            sums.append(sha256)
+            if crc != parts[0].layout.data_crc:
+                losses.append(self.loss_in(parts[0], "its data section does not match its CRC"))
+        lines = "".join(f"{each}\n" for each in sums)
+        flight_id = sums[0] if len(sums) == 1 else hashlib.sha256(lines.encode()).hexdigest()
+        return Identity(flight_id, tuple(losses))
 
-    def _lose(self, loss: str) -> None:
+    def loss_in(self, part: Part, loss: str) -> str:
+        """Return the phrase of a loss, which names the part where there are several.
+
+        Raises RecordingError when the recording is `strict`.
+        """
         if self.strict:
-            raise RecordingError(self.path, loss, STRICT_REMEDY)
-        if loss not in self.losses:
-            self.losses.append(loss)
+            raise RecordingError(part.path, loss, "copy it again, or process the part that can be read")
+        return _name_part(self.parts, part, loss)
 
     def select_cameras(self, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:
-        """The cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
+        """Return the cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
         if topics is None:
             if not self.camera_channels:
                 where = " in the part that can be read" if self.losses else ""
-                raise RecordingError(self.path, f"no camera topic{where}", self._what_it_has())
+                raise RecordingError(self.path, f"no camera topic{where}", self._explain_no_camera())
             return self.camera_channels
         images_by_topic = {c.topic: c for c in self.channels if is_image(c)}
         for topic in topics:
@@ -133,124 +158,117 @@ class Recording:
                 raise RecordingError(self.path, f"no images on topic {topic}", f"its image topics: {known}")
         return tuple(to_camera(c) for c in self.channels if c.topic in topics and is_image(c))
 
-    def _what_it_has(self) -> str:
-        """What a recording without a camera has instead: refused topics of images and why, or others."""
+    def _explain_no_camera(self) -> str:
+        """Say what was lost, why topics of images were refused, or else which topics there are."""
+        if self.losses:
+            return "; ".join(self.losses)
         if self.refusals:
             return "; ".join(f"{topic}: {reason}" for topic, reason in self.refusals.items())
         topics = [channel.topic for channel in self.channels[:5]]
         return f"its topics: {', '.join(topics) or 'none'}"
 
+    def definition(self, channel_id: int) -> tuple[Channel, Schema | None]:
+        """Return the Channel and Schema records of a channel, with the ids they have in their part."""
+        for part in self.parts:
+            for id_of_part, i in part.ids.items():
+                if i == channel_id:
+                    channel = part.layout.channels[id_of_part]
+                    return channel, part.layout.schemas.get(channel.schema_id)
+        raise KeyError(channel_id)
+
     def schema_data(self, channel_id: int) -> bytes:
-        """The schema of a channel as the file has it; empty when it has none."""
-        schema = self.layout.schemas.get(self.layout.channels[channel_id].schema_id)
+        """Return the schema of a channel as the file has it; empty when it has none."""
+        schema = self.definition(channel_id)[1]
         return schema.data if schema else b""
 
-    def iter_attachments(self) -> Iterator[Attachment]:
-        """The Attachment records; one that cannot be read is lost. Raises RecordingError."""
-        return self._iter_records(Attachment, self.layout.attachments)
-
-    def iter_metadata(self) -> Iterator[Metadata]:
-        """The Metadata records, in their order; one that cannot be read is lost. Raises RecordingError."""
-        return self._iter_records(Metadata, self.layout.metadata)
-
-    def _iter_records(
-        self, kind: type[_R], indexes: Iterable[AttachmentIndex | MetadataIndex]
-    ) -> Iterator[_R]:
-        with reading(self.path) as file:
-            for index in indexes:
-                try:
-                    yield load_record(file, kind, index.offset)
-                except Damage as damage:
-                    self._lose(f"{damage} at byte {index.offset:,}")
+    def extents(self, channel_ids: Collection[int]) -> list[PartExtent]:
+        """Return the extents that may hold messages of these channels."""
+        found = (
+            PartExtent(number, part, extent)
+            for number, part in enumerate(self.parts)
+            for extent in part.layout.extents
+        )
+        wanted = frozenset(channel_ids)
+        return [each for each in found if (ids := each.channel_ids) is None or ids & wanted]
 
     def message_counts(self) -> Counter[int]:
-        """Messages per channel id, read from the chunks where nothing else tells. Raises RecordingError."""
-        if self.layout.statistics is not None:
-            return Counter(self.layout.statistics.channel_message_counts)
-        with reading(self.path) as file:
-            return _count_all(file, self.layout)
+        """Count messages per channel id, reading chunks where neither statistics nor indexes say.
+
+        Raises RecordingError.
+        """
+        counts = Counter[int]()
+        for part in self.parts:
+            for channel_id, count in part_counts(part).items():
+                if channel_id in part.ids:
+                    counts[part.ids[channel_id]] += count
+        return counts
 
 
-def open_recording(path: Path, *, strict: bool = False, made_of: str | None = None) -> Recording:
-    """Look into an MCAP file. Raises RecordingError when it is none, or damaged and `strict`."""
-    with reading(path) as file:
-        layout = read_layout(file)
-        channels = _channel_summaries(file, layout)
-        cameras = find_cameras(file, layout, channels)
-        extents = [e for e in layout.extents if e.channel_ids is None or e.channel_ids]
-        recording = Recording(
-            path=path,
-            size_bytes=file.size_bytes,
-            strict=strict,
-            profile=layout.header.profile,
-            start_ns=min((e.start_ns for e in extents), default=0),
-            end_ns=max((e.end_ns for e in extents), default=0),
-            channels=channels,
-            camera_channels=cameras.channels,
-            refusals=cameras.refusals,
-            video_channel_ids=cameras.video_channel_ids,
-            metadata=_read_metadata(file, layout),
-            layout=layout,
-            made_of=made_of,
-        )
-    if strict and layout.losses:
-        raise RecordingError(path, layout.losses[0], STRICT_REMEDY)
+def open_recording(path: Path | str, *, strict: bool = False) -> Recording:
+    """Read what an MCAP file, or the folder of a split recording, holds.
+
+    Args:
+        path: the file or folder.
+        strict: raise RecordingError for anything that cannot be read, now and when it is read on.
+
+    Raises:
+        RecordingError: it is not a recording, or damaged and `strict`.
+    """
+    path = Path(path)
+    parts = number_channels([part for each in files_of(path) for part in open_parts(each)])
+    extents = [e for part in parts for e in part.layout.extents if e.channel_ids is None or e.channel_ids]
+    channels = summarize_channels(parts)
+    cameras = find_cameras(parts, channels)
+    recording = Recording(
+        path=path,
+        parts=parts,
+        strict=strict,
+        profile=parts[0].layout.header.profile,
+        start_ns=min((e.start_ns for e in extents), default=0),
+        end_ns=max((e.end_ns for e in extents), default=0),
+        channels=channels,
+        camera_channels=cameras.channels,
+        refusals=cameras.refusals,
+        video_channel_ids=cameras.video_channel_ids,
+        metadata={name: record for part in parts for name, record in part.metadata.items()},
+        losses=tuple(_name_part(parts, part, loss) for part in parts for loss in part.layout.losses),
+    )
+    for part in parts:
+        for loss in part.layout.losses:
+            recording.loss_in(part, loss)
+        if len(parts) > 1 and RUN_METADATA in part.metadata:
+            raise RecordingError(part.path, "it carries annotations already", "use what it was made from")
     return recording
 
 
-def _digest(file: RecordingFile, n_crc_bytes: int) -> tuple[str, int]:
-    """(SHA-256 of a file in hex, CRC-32 of its first `n_crc_bytes`)."""
-    sha256, crc = hashlib.sha256(), 0
-    for offset in range(0, file.size_bytes, _DIGEST_BYTES):
-        block = file.read(offset, min(_DIGEST_BYTES, file.size_bytes - offset))
-        sha256.update(block)
-        if offset < n_crc_bytes:
-            crc = zlib.crc32(memoryview(block)[: n_crc_bytes - offset], crc)
-    return sha256.hexdigest(), crc
+def check_recording(path: Path) -> None:
+    """Raise the RecordingError of `open_recording` for what is seen at once, such as a missing file."""
+    for each in files_of(path):
+        with reading(each):
+            pass
 
 
-def _channel_summaries(file: RecordingFile, layout: Layout) -> tuple[ChannelSummary, ...]:
-    counts = _message_counts(file, layout)
-    return tuple(
-        ChannelSummary(
-            channel_id=channel.id,
-            topic=channel.topic,
-            schema_name=schema.name if schema else "",
-            schema_encoding=schema.encoding if schema else "",
-            message_encoding=channel.message_encoding,
-            message_count=counts.get(channel.id, 0) if counts is not None else None,
+def files_of(path: Path) -> list[Path]:
+    """Return the files of a recording: itself, or those of a folder. Raises RecordingError."""
+    paths = find_parts(path) if path.is_dir() else [path]
+    if not paths:
+        raise RecordingError(
+            path, "the folder has no recording", f"make one of photographs: lsnet-pipe pack {path} FILE"
         )
-        for channel in sorted(layout.channels.values(), key=lambda channel: (channel.topic, channel.id))
-        for schema in [layout.schemas.get(channel.schema_id)]
-    )
+    return paths
 
 
-def _message_counts(file: RecordingFile, layout: Layout) -> Mapping[int, int] | None:
-    """Messages per channel by the statistics, or by indexes; None where only reading everything tells."""
-    if layout.statistics is not None:
-        return layout.statistics.channel_message_counts
-    if any(extent.channel_ids is None for extent in layout.extents):
-        return None
-    return _count_all(file, layout)
+def _name_part(parts: Sequence[Part], part: Part, text: str) -> str:
+    return f"{part.path.name}: {text}" if parts[0].path != parts[-1].path else text
 
 
-def _count_all(file: RecordingFile, layout: Layout) -> Counter[int]:
-    """Messages per channel; those of chunks that cannot be read are not counted."""
-    counts = Counter[int]()
-    for extent in layout.extents:
-        with suppress(Damage):
-            counts += count_messages(file, extent)
-    return counts
-
-
-def _read_metadata(file: RecordingFile, layout: Layout) -> dict[str, dict[str, str]]:
-    """The Metadata records by name; of several with one name, the last."""
-    metadata = {}
-    for index in layout.metadata:
-        try:
-            record = load_record(file, Metadata, index.offset)
-        except Damage as damage:
-            layout.losses.append(f"{damage} at byte {index.offset:,}")
-            continue
-        metadata[record.name] = record.metadata
-    return metadata
+def _digest(path: Path, n_crc_bytes: int) -> tuple[str, int]:
+    """Return (SHA-256 of a file in hex, CRC-32 of its first `n_crc_bytes`)."""
+    sha256, crc = hashlib.sha256(), 0
+    with reading(path) as file:
+        for offset in range(0, file.size_bytes, _DIGEST_BYTES):
+            block = file.read(offset, min(_DIGEST_BYTES, file.size_bytes - offset))
+            sha256.update(block)
+            if offset < n_crc_bytes:
+                crc = zlib.crc32(memoryview(block)[: n_crc_bytes - offset], crc)
+    return sha256.hexdigest(), crc

@@ -40,12 +40,17 @@ _SUMMARY_RECORDS: dict[int, type[McapRecord]] = {
 
 @dataclass(slots=True, eq=False)
 class Summary:
-    """The summary section: its records, and its chunk indexes by the offset of their chunk."""
+    """The records of the summary section.
+
+    chunks: the chunk indexes by the offset of their chunk. start: offset of the section, which is that of the
+    footer when there is no summary, and None when the end of the file cannot be read. loss: why not.
+    """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: dict[int, ChunkIndex] = field(default_factory=dict)
     statistics: Statistics | None = None
+    start: int | None = None
     loss: str | None = None
 
 
@@ -74,29 +79,31 @@ def load_body(file: RecordingFile, offset: int, length: int) -> bytes:
 def read_summary(file: RecordingFile) -> Summary:
     """The summary section; empty when there is none, empty with `loss` set when it cannot be read."""
     try:
-        section = _summary_section(file)
-        return _parse_summary(section)
+        start, section = _summary_section(file)
+        return _parse_summary(start, section)
     except Damage as damage:
         return Summary(loss=f"{damage}, its data were scanned instead")
 
 
-def _summary_section(file: RecordingFile) -> bytes:
+def _summary_section(file: RecordingFile) -> tuple[int, bytes]:
     footer_offset = file.size_bytes - len(MAGIC) - _FOOTER_BYTES
     if footer_offset < len(MAGIC) or file.read(file.size_bytes - len(MAGIC), len(MAGIC)) != MAGIC:
         raise Damage("its end is missing")
     footer = load_record(file, Footer, footer_offset)
     if footer.summary_start == 0:
-        return b""
+        return footer_offset, b""
     section = load_body(file, footer.summary_start, max(footer_offset - footer.summary_start, 0))
     checked = section + file.read(footer_offset, _FOOTER_BYTES - 4)
     if footer.summary_crc and zlib.crc32(checked) != footer.summary_crc:
         raise Damage("its summary does not match its CRC")
-    return section
+    return footer.summary_start, section
 
 
-def _parse_summary(section: bytes) -> Summary:
-    summary = Summary()
+def _parse_summary(offset: int, section: bytes) -> Summary:
+    summary = Summary(start=offset)
     for opcode, start, end in iter_records(section):
+        if opcode in (Opcode.MESSAGE, Opcode.CHUNK):
+            raise Damage("its summary holds messages")
         kind = _SUMMARY_RECORDS.get(opcode)
         record = parse_record(kind, section[start:end]) if kind else None
         if isinstance(record, Schema):

@@ -1,24 +1,17 @@
-"""The records that travel along the one path: channels, frames, and what was made of a recording."""
+"""Channels and frames of a recording."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from inspect_pipeline.arrays import ImageArray
-
-
-WriteMode = Literal["copy", "sidecar", "none"]  # where annotations go
-SchemaName = Literal["protobuf", "ros2msg"]  # of annotations
-ExecutorName = Literal["local", "ray"]  # where a batch has its workers
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelSummary:
-    """A channel of a recording. `message_count` is None where neither statistics nor indexes tell."""
+    """A channel of a recording. `message_count` is None when neither statistics nor indexes say."""
 
     channel_id: int
     topic: str
@@ -57,22 +50,3 @@ class Frame:
     frame_id: str
     image: ImageArray | None
     error: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ProcessResult:
-    """What `process` did with one recording; the fields are those of `process --json`.
-
-    reason: what was lost of a recovered one, or that it is an annotated copy; warnings: what is odd about it.
-    """
-
-    flight_id: str
-    source: str
-    status: Literal["ok", "skipped", "recovered"]
-    annotated: Path | None
-    n_frames: int
-    n_bad_frames: int
-    n_segments: int
-    seconds: float
-    reason: str | None = None
-    warnings: tuple[str, ...] = ()

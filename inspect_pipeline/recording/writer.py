@@ -62,7 +62,7 @@ class RecordingAuthor:
         self._schema_ids: dict[str, int] = {}
         self._channel_ids: dict[str, int] = {}
         self._copied_schema_ids: dict[tuple[str, str, bytes], int] = {}
-        self._copied_channel_ids: dict[tuple[str, str, int], int] = {}
+        self._copied_channel_ids: dict[int, int] = {}
 
     def write_image(
         self,
@@ -168,15 +168,16 @@ class RecordingAuthor:
             attachment.data,
         )
 
-    def copy_message(
-        self, channel: Channel, schema: Schema | None, log_time_ns: int, publish_time_ns: int, data: bytes
-    ) -> None:
-        """Append a message of another recording to the channel of the same topic, encoding and schema."""
+    def copy_channel(self, source_id: int, channel: Channel, schema: Schema | None) -> None:
+        """Add a channel of another recording, which `copy_message` knows by `source_id`."""
         schema_id = self._copied_schema_id(schema) if schema else 0
-        key = (channel.topic, channel.message_encoding, schema_id)
-        if key not in self._copied_channel_ids:
-            self._copied_channel_ids[key] = self._writer.register_channel(*key, channel.metadata)
-        self._writer.add_message(self._copied_channel_ids[key], log_time_ns, data, publish_time_ns)
+        self._copied_channel_ids[source_id] = self._writer.register_channel(
+            channel.topic, channel.message_encoding, schema_id, channel.metadata
+        )
+
+    def copy_message(self, source_id: int, log_time_ns: int, publish_time_ns: int, data: bytes) -> None:
+        """Append a message of another recording to a channel added by `copy_channel`."""
+        self._writer.add_message(self._copied_channel_ids[source_id], log_time_ns, data, publish_time_ns)
 
     def _copied_schema_id(self, schema: Schema) -> int:
         key = (schema.name, schema.encoding, schema.data)

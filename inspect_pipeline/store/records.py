@@ -10,6 +10,7 @@ from inspect_pipeline.recording.types import CameraChannel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
 # Of what a flight's folder holds. Another one means that recordings are processed again, and that older
 # programs refuse the store; what is derived from flights, and migrations of the index alone, leave it.
@@ -121,6 +122,25 @@ class FlightRecord:
         fields["channels"] = tuple(CameraChannel(**channel) for channel in value["channels"])
         fields["totals"] = FlightTotals(**value["totals"])
         return cls(**fields)
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessResult:
+    """What `process` did with one recording; the fields are those of `process --json`.
+
+    reason: what was lost, or that it is an annotated copy; warnings: what is odd about it.
+    """
+
+    flight_id: str
+    source: str
+    status: Literal["ok", "skipped", "recovered"]
+    annotated: Path | None
+    n_frames: int
+    n_bad_frames: int
+    n_segments: int
+    seconds: float
+    reason: str | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def _to_iso(time: datetime) -> str:

@@ -20,7 +20,7 @@ from inspect_pipeline.store.records import RunRecord
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from inspect_pipeline.recording.types import ProcessResult
+    from inspect_pipeline.store.records import ProcessResult
     from inspect_pipeline.store.store import Store
 
 

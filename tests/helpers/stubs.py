@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.batch.inbox import Candidate
     from inspect_pipeline.batch.worker import Job
-    from inspect_pipeline.recording.types import ProcessResult
-    from inspect_pipeline.store.records import RunRecord
+    from inspect_pipeline.store.records import ProcessResult, RunRecord
     from lsnet import Detections
 
 LIGHT = Path(__file__).with_name("light")  # in front of sys.path, for processes that need no network

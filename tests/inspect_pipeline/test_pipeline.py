@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from inspect_pipeline.recording.types import ProcessResult
+    from inspect_pipeline.store.records import ProcessResult
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_a_selection_of_frames(tmp_path: Path, store: Store) -> None:
 def test_damage_is_refused_or_survived(tmp_path: Path, store: Store) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(40))
     os.truncate(path, path.stat().st_size * 2 // 3)
-    with pytest.raises(RecordingError, match="without --strict the readable part"):
+    with pytest.raises(RecordingError, match="the part that can be read"):
         run(path, store, strict=True)
     result = run(path, store)
     assert result.status == "recovered"

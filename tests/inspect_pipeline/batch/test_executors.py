@@ -28,7 +28,7 @@ from inspect_pipeline.batch.ray import RayExecutor
 from inspect_pipeline.batch.worker import Job, Service, WorkerFailure
 from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_described_run
 from inspect_pipeline.errors import DetectorError, StoreError, TerrainError
-from inspect_pipeline.recording.types import ProcessResult
+from inspect_pipeline.store.records import ProcessResult
 from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:

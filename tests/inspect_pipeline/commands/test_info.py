@@ -37,7 +37,7 @@ def test_poses_lenses_and_what_is_odd_are_shown(tmp_path: Path) -> None:
     ]
 
 
-def test_the_parts_of_a_split_recording_are_shown_one_after_another(tmp_path: Path) -> None:
+def test_a_split_recording_is_shown_as_one(tmp_path: Path) -> None:
     for i in range(2):
         with new_recording(tmp_path / f"f_{i}.mcap") as author:
             author.write_image(CAMERA, START_NS + i, "cam", encoded_picture(i), "png")
@@ -45,10 +45,8 @@ def test_the_parts_of_a_split_recording_are_shown_one_after_another(tmp_path: Pa
     app.command()(info)
 
     lines = CliRunner().invoke(app, [str(tmp_path)]).stdout.splitlines()
-    assert lines[0].startswith("flight    ")
-    assert lines[0].endswith(", of 2 parts:")
-    assert [line.split()[1] for line in lines if line.startswith("file")] == [
-        f"{tmp_path}/f_0.mcap",
-        f"{tmp_path}/f_1.mcap",
-    ]
-    assert lines.count(f"process   {CAMERA}") == 2
+    assert lines[0].startswith(f"folder    {tmp_path} (2 parts, ")
+    assert [line.split(":")[0] for line in lines[1:3]] == ["  f_0.mcap", "  f_1.mcap"]
+    (channel,) = (line for line in lines if line.startswith(f"  {CAMERA}"))
+    assert "2 messages" in channel
+    assert lines[-1] == f"process   {CAMERA}"

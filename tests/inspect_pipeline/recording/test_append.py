@@ -64,7 +64,7 @@ def messages(path: Path, *, seeking: bool) -> list[tuple[str, int, int, bytes]]:
 def test_a_copy_holds_the_source_and_the_annotations(tmp_path: Path, name: str) -> None:
     source = make_recording(tmp_path / "a.mcap", shots(0 if name == "empty" else 12), **SOURCES[name])
     target = tmp_path / "b.mcap"
-    data_end = open_recording(source).layout.data_end
+    data_end = open_recording(source).parts[0].layout.data_end
     annotate(source, target)
 
     assert target.read_bytes()[:data_end] == source.read_bytes()[:data_end]
@@ -168,7 +168,7 @@ def test_channels_of_one_schema_share_it(tmp_path: Path) -> None:
         add_channel(out), add_channel(out, TOPIC + "2")
     names = [c.schema_name for c in open_recording(tmp_path / "b.mcap").channels]
     assert names.count("Note") == 2
-    assert len(open_recording(tmp_path / "b.mcap").layout.schemas) == 3
+    assert len(open_recording(tmp_path / "b.mcap").parts[0].layout.schemas) == 3
 
 
 def test_a_sidecar_holds_the_annotations_only(tmp_path: Path) -> None:
@@ -251,7 +251,7 @@ def test_the_readable_part_of_a_truncated_recording_is_annotated(tmp_path: Path,
         annotate(source, target)
         counts = Counter(message[0] for message in messages(target, seeking=True))
         assert (counts[CAMERA], counts[TOPIC]) == (n_frames, 12)
-        assert open_recording(target, strict=True).losses == []
+        assert open_recording(target, strict=True).losses == ()
 
 
 def test_real_recordings(data_dir: Path, tmp_path: Path) -> None:
@@ -260,5 +260,5 @@ def test_real_recordings(data_dir: Path, tmp_path: Path) -> None:
         annotate(source, target)
         expected = Counter(message[0] for message in messages(source, seeking=True)) + Counter({TOPIC: 12})
         assert Counter(message[0] for message in messages(target, seeking=True)) == expected
-        data_end = open_recording(source).layout.data_end
+        data_end = open_recording(source).parts[0].layout.data_end
         assert target.read_bytes()[:data_end] == source.read_bytes()[:data_end]

@@ -247,7 +247,7 @@ def compressed_zeros(compression: str, n_bytes: int) -> bytes:
 def bomb(tmp_path: Path, compression: str, declared_bytes: int, data: bytes) -> Path:
     """A recording whose only chunk has this data."""
     path = make_recording(tmp_path / "a.mcap", shots(2), index_types=factories.UNINDEXED)
-    start = path.read_bytes()[: open_recording(path).layout.extents[0].offset]
+    start = path.read_bytes()[: open_recording(path).parts[0].layout.extents[0].offset]
     name = compression.encode()
     body = (
         struct.pack("<QQQII", 1, 2, declared_bytes, 0, len(name)) + name + struct.pack("<Q", len(data)) + data
@@ -273,15 +273,16 @@ def test_a_message_of_absurd_length_takes_no_memory(tmp_path: Path) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(5), use_chunking=False, n_gps_per_shot=0)
     recording = open_recording(path)
     channel_id, length = recording.camera_channels[0].channel_id, 1 << 30
-    start = path.read_bytes()[: recording.layout.data_end]
+    start = path.read_bytes()[: recording.parts[0].layout.data_end]
     head = struct.pack("<BQHIQQ", 5, length, channel_id, 0, factories.START_NS, factories.START_NS)
     path.write_bytes(start + head)
     with path.open("r+b") as file:
         file.truncate(len(start) + 9 + length)
     memory_before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     recording = open_recording(path)
-    assert len(list(iter_frames(recording))) == 5
-    assert "a message claims more than 256 MiB" in recording.losses[-1]
+    frames = iter_frames(recording)
+    assert len(list(frames)) == 5
+    assert "a message claims more than 256 MiB" in frames.losses[-1]
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_before_kb < 100 << 10
 
 

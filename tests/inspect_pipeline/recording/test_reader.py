@@ -88,7 +88,7 @@ def test_reads_what_the_mcap_package_writes(tmp_path: Path, name: str) -> None:
     assert all(f.publish_time_ns == f.log_time_ns + 1 for f in frames)
     assert all(f.stamp_ns == f.log_time_ns - factories.STAMP_LAG_NS for f in frames)
     assert {(f.topic, f.frame_id, f.error) for f in frames} == {(CAMERA, "cam", None)}
-    assert recording.losses == []
+    assert recording.losses == ()
     assert [c.topic for c in recording.channels] == [CAMERA, "/gps"]
     assert (recording.start_ns, recording.end_ns) == (START_NS, START_NS + 19 * STEP_NS + 1)
 
@@ -97,7 +97,7 @@ def test_reads_what_the_mcap_package_writes(tmp_path: Path, name: str) -> None:
 def test_reads_what_foxglove_sdk_writes(tmp_path: Path, name: str) -> None:
     path = factories.make_recording_with_sdk(tmp_path / "flight.mcap", shots(20), **SDK_WRITERS[name])
     assert numbers(path) == [(CAMERA, i, i) for i in range(20)]
-    assert open_recording(path).losses == []
+    assert open_recording(path).losses == ()
 
 
 def test_reads_what_rosbags_writes(tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_only_chunks_that_hold_wanted_channels_are_read(
         return read_extent(*args)
 
     monkeypatch.setattr(recording_merge, "read_extent", count)
-    assert len(list(iter_frames(recording, topics=["/b/image"]))) == 10
+    assert len(list(iter_frames(recording, recording.select_cameras(["/b/image"])))) == 10
     assert n_read == 10
 
 
@@ -203,7 +203,7 @@ def test_the_flight_id_checks_the_crc_of_unchunked_data(tmp_path: Path, strict: 
             _ = recording.flight_id
     else:
         assert recording.flight_id == hashlib.sha256(content).hexdigest()
-        assert recording.losses == ["its data section does not match its CRC"]
+        assert recording.identity.losses == ("its data section does not match its CRC",)
 
 
 @pytest.mark.parametrize(
@@ -264,7 +264,7 @@ def test_metadata_and_attachments(tmp_path: Path) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(2), **WRITERS["attachments and metadata"])
     recording = open_recording(path)
     assert recording.metadata == {"mission": {"line": "7"}}
-    assert len(recording.layout.attachments) == 2
+    assert len(recording.parts[0].layout.attachments) == 2
     assert not recording.is_annotated_copy
 
 
@@ -301,7 +301,7 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path, content: by
 def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file"):
         open_recording(tmp_path / "missing.mcap")
-    with pytest.raises(RecordingError, match="not a file; make one recording of it: lsnet-pipe pack"):
+    with pytest.raises(RecordingError, match="the folder has no recording; make one of photographs"):
         open_recording(tmp_path)
 
 
@@ -311,7 +311,7 @@ def test_no_camera_topic_is_refused_at_the_call(tmp_path: Path) -> None:
         iter_frames(open_recording(path))
     path = make_recording(tmp_path / "b.mcap", shots(2))
     with pytest.raises(RecordingError, match=f"its image topics: {CAMERA}"):
-        iter_frames(open_recording(path), topics=["/thermal"])
+        open_recording(path).select_cameras(["/thermal"])
 
 
 def test_why_images_are_refused_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -375,7 +375,7 @@ def test_of_a_truncated_file_the_prefix_is_read(tmp_path: Path, name: str) -> No
         assert [number_of(f.image) for f in frames] == list(range(len(frames)))
         assert len(recording.losses) == 1
         n_frames.append(len(frames))
-        with pytest.raises(RecordingError, match="strict the readable part"):
+        with pytest.raises(RecordingError, match="the part that can be read"):
             open_recording(path, strict=True)
     assert n_frames == sorted(n_frames)
     assert n_frames[-1] == 12
@@ -384,22 +384,23 @@ def test_of_a_truncated_file_the_prefix_is_read(tmp_path: Path, name: str) -> No
 def test_a_damaged_chunk_is_lost_and_the_rest_is_read(tmp_path: Path) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(20), n_gps_per_shot=0)
     recording = open_recording(path)
-    extent = recording.layout.extents[2]
+    extent = recording.parts[0].layout.extents[2]
     content = bytearray(path.read_bytes())
     content[extent.offset + extent.length - 100] ^= 0x10
     path.write_bytes(content)
-    frames = list(iter_frames(recording))
-    assert 0 < len(frames) < 20
-    assert len(recording.losses) == 1
-    assert f"at byte {extent.offset:,}" in recording.losses[0]
-    with pytest.raises(RecordingError, match="strict the readable part"):
+    frames = iter_frames(recording)
+    assert 0 < len(list(frames)) < 20
+    assert len(frames.losses) == 1
+    assert f"at byte {extent.offset:,}" in frames.losses[0]
+    assert recording.losses == ()
+    with pytest.raises(RecordingError, match="the part that can be read"):
         list(iter_frames(open_recording(path, strict=True)))
 
 
 def test_a_summary_that_lies_is_not_believed(tmp_path: Path) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(20), enable_crcs=False)
     content = bytearray(path.read_bytes())
-    offset = open_recording(path).layout.extents[1].offset
+    offset = open_recording(path).parts[0].layout.extents[1].offset
     at = content.rindex(offset.to_bytes(8, "little"))
     content[at : at + 8] = (offset + 1).to_bytes(8, "little")
     path.write_bytes(content)

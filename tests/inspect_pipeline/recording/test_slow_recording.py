@@ -173,7 +173,7 @@ def test_what_typescript_writes_is_read_and_annotated(
     assert [(f.topic, factories.number_of(f.image)) for f in frames] == [
         (topic, i) for i in range(20) for topic in topics
     ]
-    assert (recording.metadata, len(recording.layout.attachments)) == ({"mission": {"line": "7"}}, 1)
+    assert (recording.metadata, len(recording.parts[0].layout.attachments)) == ({"mission": {"line": "7"}}, 1)
     annotate(path, tmp_path / "b.mcap")
     with (tmp_path / "b.mcap").open("rb") as file:
         assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == 40 + 2 * 40

@@ -121,14 +121,12 @@ def test_of_a_damaged_part_the_readable_prefix_is_joined(tmp_path: Path) -> None
     cut.write_bytes(cut.read_bytes()[:-2000])
     result = pack(tmp_path / "b", tmp_path / "a.mcap")
     assert len(result.warnings) == 1
-    assert result.warnings[0].startswith(f"{cut}: ")
+    assert result.warnings[0].startswith("f_1.mcap: ")
     assert len(list(iter_frames(open_recording(tmp_path / "a.mcap")))) > 4
 
 
 def test_what_is_no_split_recording_is_refused(tmp_path: Path) -> None:
     part(tmp_path / "b", "morning_0.mcap", 0, (CAMERA,))
-    with pytest.raises(RecordingError, match="a folder, not a file; make one recording of it"):
-        open_recording(tmp_path / "b")
     part(tmp_path / "b", "evening_1.mcap", 4, (CAMERA,))
     with pytest.raises(RecordingError, match="not parts of one"):
         pack(tmp_path / "b", tmp_path / "a.mcap")

@@ -23,13 +23,12 @@ from inspect_pipeline.overlay import draw_overlay
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
-from inspect_pipeline.recording.source import open_source
 from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from inspect_pipeline.recording.types import ProcessResult
+    from inspect_pipeline.store.records import ProcessResult
 
 OTHER = "/left/image/compressed"
 
@@ -65,7 +64,7 @@ def test_numbered_parts_are_one_flight(flight: Path, store: Store) -> None:
 
     copy = open_recording(result.annotated)
     assert copy.flight_id == result.flight_id
-    frames = list(iter_frames(copy, [CAMERA]))
+    frames = list(iter_frames(copy, copy.select_cameras([CAMERA])))
     assert [(frame.frame_idx, number_of(frame.image)) for frame in frames] == [(i, i) for i in range(12)]
     with result.annotated.open("rb") as file:
         found = list(make_reader(file, validate_crcs=True).iter_messages([f"{CAMERA}/lsnet/annotations"]))
@@ -79,7 +78,7 @@ def test_numbered_parts_are_one_flight(flight: Path, store: Store) -> None:
 
 
 @pytest.mark.parametrize("write", ["sidecar", "none"])
-def test_nothing_is_left_of_what_was_joined(flight: Path, store: Store, write: str) -> None:
+def test_only_annotations_of_a_split_recording_are_written(flight: Path, store: Store, write: str) -> None:
     result = run(flight, store, write=write)
     folder = store.flight_dir(result.flight_id)
     assert [path.name for path in folder.glob("*.mcap")] == (
@@ -94,7 +93,7 @@ def test_a_rosbag2_is_one_flight(tmp_path: Path, store: Store) -> None:
     """With one file in it, it is the flight that its file is."""
     bag = tmp_path / "bag"
     path = make_recording_with_rosbags(bag, shots(4))
-    assert open_source(bag).flight_id == open_recording(path).flight_id
+    assert open_recording(bag).flight_id == open_recording(path).flight_id
     assert run(bag, store).n_frames == 4
     assert run(path, store).status == "skipped"
 

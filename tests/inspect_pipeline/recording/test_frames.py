@@ -1,13 +1,13 @@
 from __future__ import annotations
 
-from inspect_pipeline.recording.stamps import StampCheck
+from inspect_pipeline.recording.frames import StampCheck
 from inspect_pipeline.recording.types import Frame
 
 
 def warnings(*stamps: tuple[str, int]) -> list[str]:
     check = StampCheck()
     for i, (topic, stamp_ns) in enumerate(stamps):
-        check.see(Frame(1, topic, i, i, i, stamp_ns, "cam", None, "no image"))
+        check.check(Frame(1, topic, i, i, i, stamp_ns, "cam", None, "no image"))
     return list(check.warnings())
 
 

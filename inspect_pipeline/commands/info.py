@@ -61,8 +61,8 @@ def _describe(recording: Recording) -> Iterator[str]:
 
 
 def _describe_poses(recording: Recording) -> Iterator[str]:
+    from inspect_pipeline.georeference.calibration import read_intrinsics
     from inspect_pipeline.georeference.poses import read_poses
-    from inspect_pipeline.messages.calibration import read_intrinsics
 
     track = read_poses(recording)
     counts = {

@@ -6,6 +6,7 @@ known exactly: docs/inspection.md, Places.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
@@ -14,7 +15,6 @@ import pyproj
 
 from inspect_pipeline.geometry import local_frame as projection
 from inspect_pipeline.geometry.attitude import YawPitchRoll
-from inspect_pipeline.messages.calibration import Intrinsics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,6 +29,25 @@ _UNDISTORTED, _N_COEFFICIENTS = frozenset({"plumb_bob", "rational_polynomial"}),
 _UPRIGHT = 1e-6
 _FARTHEST_M, _MARCH_M = 1000.0, 2.0  # how far rays are followed over terrain, and by which steps
 _EARTH = pyproj.Geod(ellps="WGS84")
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A pinhole camera with lens distortion, of the image as it is stored.
+
+    Attributes:
+        image_size: (height, width) in pixels.
+        focal_px: (x, y).
+        centre_px: (x, y), counted from the top-left corner of the top-left pixel.
+        distortion_model: as in sensor_msgs/CameraInfo, such as "plumb_bob".
+        distortion: coefficients of the model, such as k1, k2, p1, p2, k3; empty without distortion.
+    """
+
+    image_size: tuple[int, int]
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    distortion_model: str
+    distortion: tuple[float, ...]
 
 
 def lens_of_view(image_size: tuple[int, int], view_deg: float) -> Intrinsics:

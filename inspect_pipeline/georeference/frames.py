@@ -23,8 +23,8 @@ from inspect_pipeline.geometry.camera import (
     turned_down,
 )
 from inspect_pipeline.geometry.terrain import load_elevation
+from inspect_pipeline.georeference.calibration import read_intrinsics
 from inspect_pipeline.georeference.poses import read_poses
-from inspect_pipeline.messages.calibration import read_intrinsics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.arrays import Floats
     from inspect_pipeline.config import PlacingOptions
+    from inspect_pipeline.geometry.camera import Intrinsics
     from inspect_pipeline.geometry.terrain import Elevation
     from inspect_pipeline.georeference.poses import Pose, PoseTrack
-    from inspect_pipeline.messages.calibration import Intrinsics
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel, Frame
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from inspect_pipeline.geometry.attitude import Attitude, Position, wrapped_deg
-from inspect_pipeline.messages.flatbuffer import MALFORMED
+from inspect_pipeline.messages.errors import MALFORMED
 from inspect_pipeline.messages.pose import parser_for
 from inspect_pipeline.recording.frames import iter_channel_messages
 

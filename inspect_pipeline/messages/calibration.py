@@ -1,80 +1,37 @@
-"""What a recording knows of its cameras' lenses: sensor_msgs/CameraInfo and foxglove.CameraCalibration."""
+"""Calibrations of cameras: sensor_msgs/CameraInfo and foxglove.CameraCalibration."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
-from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
-from inspect_pipeline.messages.flatbuffer import MALFORMED, CdrReader, FlatbufferTable, Ros1Reader
-from inspect_pipeline.recording.frames import iter_channel_messages
+from inspect_pipeline.geometry.camera import Intrinsics
+from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
+from inspect_pipeline.messages.flatbuffer import FlatbufferTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from inspect_pipeline.messages.flatbuffer import SequentialReader
-    from inspect_pipeline.recording.reader import Recording
-    from inspect_pipeline.recording.types import CameraChannel, ChannelSummary
+    from inspect_pipeline.messages.cdr import SequentialReader
+
+    Parser = Callable[[memoryview], Intrinsics | None]
 
 
-@dataclass(frozen=True, slots=True)
-class Intrinsics:
-    """A pinhole camera with distortion, of the image as it is stored.
+def parser_for(schema_name: str, message_encoding: str) -> Parser | None:
+    """Return what parses the messages of a channel; None when they are not calibrations.
 
-    image_size is (height, width); focal_px and centre_px are (x, y), the centre counted from the top-left
-    corner of the top-left pixel. `distortion` holds the coefficients of the model, such as k1, k2, p1, p2,
-    k3 of "plumb_bob"; all zero or none without distortion.
+    The parser returns None for a camera that is not calibrated, and raises one of `errors.MALFORMED`.
     """
-
-    image_size: tuple[int, int]
-    focal_px: tuple[float, float]
-    centre_px: tuple[float, float]
-    distortion_model: str
-    distortion: tuple[float, ...]
-
-
-def read_intrinsics(recording: Recording, camera: CameraChannel) -> Intrinsics | None:
-    """The first calibration of a camera, None when there is none.
-
-    It is looked for on the topic that has most of its beginning in common with the camera's, as viewers do;
-    one that has nothing in common is that of a recording with one camera.
-    Raises RecordingError when chunks cannot be read of a `strict` recording.
-    """
-    channels = [c for c in recording.channels if (c.schema_name, c.message_encoding) in _PARSERS]
-    n_least = 1 if len(recording.camera_channels) > 1 else 0
-    common = {channel: _n_common_parts(channel.topic, camera.topic) for channel in channels}
-    for channel in sorted(channels, key=lambda channel: (-common[channel], channel.topic)):
-        found = _first(recording, channel) if common[channel] >= n_least else None
-        if found:
-            return found
-    return None
-
-
-def _n_common_parts(topic: str, other: str) -> int:
-    pairs = zip(topic.strip("/").split("/"), other.strip("/").split("/"), strict=False)
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
-
-
-def _first(recording: Recording, channel: ChannelSummary) -> Intrinsics | None:
-    parse = _PARSERS[channel.schema_name, channel.message_encoding]
-    for message in iter_channel_messages(recording, {channel.channel_id}):
-        try:
-            found = parse(message.data)
-        except MALFORMED:
-            continue
-        if found:
-            return found
-    return None
+    return _PARSERS.get((schema_name, message_encoding))
 
 
 def _intrinsics(
     width: int, height: int, model: str, d: Sequence[float], k: Sequence[float]
 ) -> Intrinsics | None:
-    """None for a camera that is not calibrated: without a focal length, or without the size it is for."""
+    """Return None for a camera that is not calibrated: without focal length or image size."""
     fx, _, cx, _, fy, cy = k[:6]
     if not all(math.isfinite(value) and value > 0 for value in (fx, fy, width, height)):
         return None
@@ -113,7 +70,7 @@ def _flatbuffer(payload: memoryview) -> Intrinsics | None:
     return _intrinsics(*size, table.string(4), table.float64s(5), table.float64s(6))
 
 
-_PARSERS: dict[tuple[str, str], Callable[[memoryview], Intrinsics | None]] = {
+_PARSERS: dict[tuple[str, str], Parser] = {
     ("foxglove.CameraCalibration", "protobuf"): _protobuf,
     ("foxglove.CameraCalibration", "json"): _json,
     ("foxglove.CameraCalibration", "flatbuffer"): _flatbuffer,

@@ -17,12 +17,14 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from inspect_pipeline.messages.flatbuffer import MALFORMED, CdrReader, FlatbufferTable, Ros1Reader
+from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
+from inspect_pipeline.messages.errors import MALFORMED
+from inspect_pipeline.messages.flatbuffer import FlatbufferTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from inspect_pipeline.messages.flatbuffer import SequentialReader
+    from inspect_pipeline.messages.cdr import SequentialReader
 
 _MAX_STAMP_NS = (1 << 63) - 1  # the year 2262; what is later, or before 1970, is no stamp
 _VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")

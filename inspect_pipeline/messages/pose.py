@@ -18,13 +18,14 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from inspect_pipeline.geometry.attitude import Attitude, Quaternion, from_enu, position
 from inspect_pipeline.messages import px4
-from inspect_pipeline.messages.flatbuffer import CdrReader, FlatbufferTable, Ros1Reader
+from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
+from inspect_pipeline.messages.flatbuffer import FlatbufferTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from inspect_pipeline.geometry.attitude import Position
-    from inspect_pipeline.messages.flatbuffer import SequentialReader
+    from inspect_pipeline.messages.cdr import SequentialReader
 
     Parser = Callable[[memoryview], Position | Attitude | None]
     AttitudeParser = Callable[[memoryview, bool], Attitude | None]
@@ -42,7 +43,7 @@ def parser_for(topic: str, schema_name: str, schema_data: bytes, message_encodin
     """What takes the messages of a channel apart; None when they are neither positions nor attitudes.
 
     It returns None for a message that says nothing, such as a receiver's without a fix, and raises one of
-    `wire.MALFORMED`.
+    `errors.MALFORMED`.
     """
     key = (schema_name, message_encoding)
     if key in _POSITIONS:

@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.geometry.attitude import Attitude, Quaternion, from_ned, position
-from inspect_pipeline.messages.flatbuffer import CdrReader
+from inspect_pipeline.messages.cdr import CdrReader
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 from inspect_pipeline.commands.pack import pack as pack_command
 from inspect_pipeline.convert.pack import PackResult, _start_ns, pack
 from inspect_pipeline.errors import InspectError, RecordingError
+from inspect_pipeline.georeference.calibration import read_intrinsics
 from inspect_pipeline.georeference.poses import read_poses
-from inspect_pipeline.messages.calibration import read_intrinsics
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 

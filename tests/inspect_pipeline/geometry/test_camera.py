@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from inspect_pipeline.geometry import camera as geo
 from inspect_pipeline.geometry.attitude import YawPitchRoll
-from inspect_pipeline.messages.calibration import Intrinsics
+from inspect_pipeline.geometry.camera import Intrinsics
 
 LENS = Intrinsics((720, 1280), (1000.0, 1000.0), (640.0, 360.0), "", ())
 TURNS = st.builds(YawPitchRoll, st.floats(-180, 180), st.floats(-89.9, 89.9), st.floats(-179, 179))

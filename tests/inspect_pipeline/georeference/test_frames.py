@@ -15,10 +15,10 @@ from terrain import write_dem
 from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_run
 from inspect_pipeline.errors import TerrainError
 from inspect_pipeline.geometry.attitude import YawPitchRoll
+from inspect_pipeline.geometry.camera import Intrinsics
 from inspect_pipeline.geometry.terrain import load_elevation
 from inspect_pipeline.georeference.frames import FramePose, Georeferencer
 from inspect_pipeline.georeference.poses import PoseSamples, PoseTrack
-from inspect_pipeline.messages.calibration import Intrinsics
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.types import Frame
 from inspect_pipeline.simulation.options import FaultKind, SimulationOptions

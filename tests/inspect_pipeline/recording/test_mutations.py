@@ -23,9 +23,9 @@ from inspect_pipeline.annotations.protobuf import PROTOBUF
 from inspect_pipeline.annotations.ros2 import ROS2
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.georeference.calibration import read_intrinsics
 from inspect_pipeline.georeference.poses import read_poses
 from inspect_pipeline.index import publish as index
-from inspect_pipeline.messages.calibration import read_intrinsics
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.append import annotated_copy
 from inspect_pipeline.recording.frames import iter_frames

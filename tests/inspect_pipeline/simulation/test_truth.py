@@ -17,8 +17,8 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
+from inspect_pipeline.georeference.calibration import read_intrinsics
 from inspect_pipeline.georeference.poses import read_poses
-from inspect_pipeline.messages.calibration import read_intrinsics
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SchemaKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth

@@ -12,7 +12,8 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import Writer
 
-from inspect_pipeline.messages.calibration import Intrinsics, read_intrinsics
+from inspect_pipeline.geometry.camera import Intrinsics
+from inspect_pipeline.georeference.calibration import read_intrinsics
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.recording.writer import new_recording
 

@@ -22,6 +22,7 @@ from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import RUN_METADATA, open_recording
 from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
+from inspect_pipeline.tracking.flight import FlightTracker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -174,18 +175,22 @@ def _write(
         if out:
             out.add_metadata(RUN_METADATA, metadata)
         annotator = FrameAnnotator(out, options.schema) if out else None
+        tracker = FlightTracker()
         for seen in seen_frames:
             if annotator:
                 annotator.write(seen.frame, seen.detections)
+            place = placer.place(seen.frame)
+            track_ids = tracker.follow(seen.frame, seen.detections.lines, place) if seen.detections else None
             tables.add_frame(
                 seen.frame,
                 seen.detections,
+                track_ids,
                 infer_ms=seen.infer_ms,
                 sharpness=seen.quality.sharpness if seen.quality else None,
                 mean_luma=seen.quality.mean_luma if seen.quality else None,
-                place=placer.place(seen.frame),
+                place=place,
             )
-        totals = tables.finish()
+        totals = tables.finish(tracker.finish())
     return _Written(totals, (*placer.poses.losses, *(out.losses if out else ())))
 
 

@@ -1,4 +1,4 @@
-"""The tables: made by numbered migrations, and filled with the rows of one flight, frame by frame.
+"""Table schema and migrations, and the writer of the rows of one flight, frame by frame.
 
 The rows become frames, segments, lines and tracks.parquet. They wait in NumPy columns,
 then in an in-memory DuckDB that spills into the flight's folder, so memory stays bounded however many
@@ -27,14 +27,16 @@ from inspect_pipeline.index.columns import (
 )
 from inspect_pipeline.resources import MIGRATIONS, app_version, read_schema
 from inspect_pipeline.store.records import FlightTotals
-from inspect_pipeline.tracking.flight import FlightTracker
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
     from types import TracebackType
 
+    from inspect_pipeline.arrays import Ints32
     from inspect_pipeline.index.columns import Columns
     from inspect_pipeline.recording.types import Frame
+    from inspect_pipeline.tracking.tracker import TrackRow
     from lsnet.segments import Detections
 
 ROW_TABLES = ("frames", "segments", "lines", "tracks")
@@ -131,7 +133,6 @@ class FlightWriter:
         self._places: list[FramePose] = []
         self._segments: list[FoundSegments] = []
         self._lines: list[FoundLines] = []
-        self._tracker = FlightTracker()
         self._n_waiting = 0
         self._connection = duckdb.connect(
             ":memory:", config=_CONFIG | {"temp_directory": str(folder / "spill")}
@@ -151,16 +152,26 @@ class FlightWriter:
         self,
         frame: Frame,
         detections: Detections | None,
+        track_ids: Ints32 | None = None,
         *,
         infer_ms: float | None = None,
         sharpness: float | None = None,
         mean_luma: float | None = None,
         place: FramePose = _NOWHERE,
     ) -> None:
-        """Add a frame with what was found in it, in source pixels, or a bad frame with None.
+        """Add a frame with its detections in source pixels, or a bad frame with None.
 
-        The frames of a camera come in the order of time: their lines are followed. Raises ValueError unless
-        exactly one of `detections` and `frame.error` is given.
+        Args:
+            frame: The frame; its pixels are not read.
+            detections: None exactly where `frame.error` is given.
+            track_ids: The track of each line (N,), or None where lines were not tracked.
+            infer_ms: Inference time.
+            sharpness: Variance of the Laplacian of the luma.
+            mean_luma: 0 to 255.
+            place: Position and attitude of the camera.
+
+        Raises:
+            ValueError: Unless exactly one of `detections` and `frame.error` is given.
         """
         if (detections is None) == (frame.error is None):
             raise ValueError(f"frame {frame.frame_idx}: either detections or an error")
@@ -175,23 +186,24 @@ class FlightWriter:
             line_of = detections.line_of
             line_of = np.full(n_segments, -1, np.int32) if line_of is None else line_of
             self._segments.append(FoundSegments(*identity, detections.segments, line_of))
-        if detections:
-            track_ids = self._tracker.follow(frame, detections.lines, place)
-            if n_lines:
-                self._lines.append(FoundLines(*identity, detections.lines, track_ids))
+        if detections and n_lines:
+            track_ids = np.full(n_lines, -1, np.int32) if track_ids is None else track_ids
+            self._lines.append(FoundLines(*identity, detections.lines, track_ids))
         self._n_waiting += 1 + n_segments + n_lines
         if self._n_waiting >= _FLUSH_ROWS:
             self._flush()
 
-    def finish(self) -> FlightTotals:
-        """Write the parquet files, in the order the frames were added, and return what they hold.
+    def finish(self, tracks: Iterable[tuple[int, TrackRow]] = ()) -> FlightTotals:
+        """Write the parquet files, in the order in which frames were added, and return the row counts.
 
-        Nothing can be added afterwards, and nothing else is left in the folder.
+        No frame can be added afterwards, and no other file is left in the folder.
+
+        Args:
+            tracks: (channel_id, track) of every confirmed track; lines of other tracks get track_id NULL.
         """
         self._flush()
-        tracks = list(self._tracker.finish())
-        if tracks:
-            self._insert(_INSERT_TRACKS, track_rows=track_columns(tracks))
+        if rows := list(tracks):
+            self._insert(_INSERT_TRACKS, track_rows=track_columns(rows))
         self._execute(_DROP_LINES_OF_OTHER_TRACKS)
         for table in ROW_TABLES:
             path = str(self._folder / f"{table}.parquet")

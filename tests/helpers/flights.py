@@ -8,14 +8,16 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import duckdb
 import numpy as np
 
+from inspect_pipeline.georeference.frames import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.types import CameraChannel, Frame
 from inspect_pipeline.store.records import FlightRecord, FlightTotals, ModelRecord, RunRecord
+from inspect_pipeline.tracking.flight import FlightTracker
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
@@ -57,6 +59,21 @@ def frame(frame_idx: int, error: str | None = None, channel_id: int = 1, step: i
     return Frame(channel_id, TOPIC, frame_idx, time_ns, time_ns + 1, time_ns - 7, "optical", image, error)
 
 
+class TrackedRows:
+    """A FlightWriter with the tracker of a flight, as in the pipeline."""
+
+    def __init__(self, writer: FlightWriter) -> None:
+        self._writer, self._tracker = writer, FlightTracker()
+
+    def add_frame(self, frame: Frame, found: Detections | None, **measures: Any) -> None:
+        place = measures.get("place", FramePose())
+        track_ids = self._tracker.follow(frame, found.lines, place) if found else None
+        self._writer.add_frame(frame, found, track_ids, **measures)
+
+    def finish(self) -> FlightTotals:
+        return self._writer.finish(self._tracker.finish())
+
+
 def write_rows(folder: Path, flight_id: str, n_frames: int) -> FlightTotals:
     """Frame i has i segments; frame 1 is bad."""
     files, totals = _rows(flight_id, n_frames)
@@ -69,12 +86,13 @@ def write_rows(folder: Path, flight_id: str, n_frames: int) -> FlightTotals:
 def _rows(flight_id: str, n_frames: int) -> tuple[dict[str, bytes], FlightTotals]:
     """The files of rows by their names, which are made once however many tests have the flight."""
     with TemporaryDirectory() as folder, FlightWriter(Path(folder), flight_id) as writer:
+        rows = TrackedRows(writer)
         for i in range(n_frames):
             if i == 1:
-                writer.add_frame(frame(i, "corrupt JPEG"), None)
+                rows.add_frame(frame(i, "corrupt JPEG"), None)
             else:
-                writer.add_frame(frame(i), detections(i), infer_ms=2.0 + i, sharpness=10.0)
-        totals = writer.finish()
+                rows.add_frame(frame(i), detections(i), infer_ms=2.0 + i, sharpness=10.0)
+        totals = rows.finish()
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}, totals
 
 

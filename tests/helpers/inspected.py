@@ -37,9 +37,10 @@ def write_rows(
     folder: Path, flight_id: str, truth: FlightTruth, rng: np.random.Generator | None = None
 ) -> FlightTotals:
     with FlightWriter(folder, flight_id) as writer:
+        rows = flights.TrackedRows(writer)
         for frame in truth.frames:
             if not frame.dropped:
-                writer.add_frame(
+                rows.add_frame(
                     _to_frame(frame),
                     _to_detections(frame, rng),
                     infer_ms=20.0,
@@ -47,7 +48,7 @@ def write_rows(
                     mean_luma=frame.mean_luma,
                     place=_to_place(frame),
                 )
-        return writer.finish()
+        return rows.finish()
 
 
 def spans_of(truth: FlightTruth) -> list[Span]:

@@ -319,13 +319,14 @@ def test_views_find_planted_faults(tmp_path: Path) -> None:
     store = Store(tmp_path)
     flight_id = flights.flight_id_of("planted")
     with store.write_flight(flight_id) as staging, flights.FlightWriter(staging.path, flight_id) as writer:
+        rows = flights.TrackedRows(writer)
         for i in range(30):
             step = i if i < 20 else i + 4
             if i == 13:
-                writer.add_frame(flights.frame(i, "corrupt JPEG", step=step), None)
+                rows.add_frame(flights.frame(i, "corrupt JPEG", step=step), None)
             else:
-                writer.add_frame(flights.frame(i, step=step), flights.detections(0 if 10 <= i <= 16 else 2))
-        staging.commit(flights.record("planted", writer.finish()))
+                rows.add_frame(flights.frame(i, step=step), flights.detections(0 if 10 <= i <= 16 else 2))
+        staging.commit(flights.record("planted", rows.finish()))
     index.publish(store)
     start = flights.START_NS
     assert ask(store, "SELECT * EXCLUDE (flight_id, start_utc) FROM detection_gaps") == [

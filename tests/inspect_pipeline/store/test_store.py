@@ -17,6 +17,7 @@ import pytest
 from inspect_pipeline.errors import StoreBusyError, StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.store.store import Store, store_path
+from inspect_pipeline.tracking.tracker import TrackRow
 from lsnet.segments import Detections, Lines, Segments
 
 
@@ -95,6 +96,20 @@ def test_segments_name_their_line(tmp_path: Path) -> None:
         writer.finish()
     rows = duckdb.sql(f"SELECT line_idx FROM '{tmp_path}/segments.parquet'").fetchall()
     assert rows == [(0,), (None,), (0,), (None,), (None,), (None,)]
+
+
+def test_lines_name_their_track(tmp_path: Path) -> None:
+    """A track that was not confirmed leaves NULL, as does a frame whose lines were not tracked."""
+    track = TrackRow(7, 0, 1, flights.START_NS, flights.START_NS + flights.PERIOD_NS, 2, 0, 0.5, 45.0, 1.0)
+    found = flights.detections(1)
+    with flights.FlightWriter(tmp_path, "f") as writer:
+        for i, track_id in enumerate((7, 7, 8)):
+            writer.add_frame(flights.frame(i), found, np.array([track_id], np.int32))
+        writer.add_frame(flights.frame(3), found)
+        writer.finish([(1, track)])
+    rows = duckdb.sql(f"SELECT frame_idx, track_id FROM '{tmp_path}/lines.parquet'").fetchall()
+    assert rows == [(0, 7), (1, 7), (2, None), (3, None)]
+    assert duckdb.sql(f"SELECT track_id, n_frames FROM '{tmp_path}/tracks.parquet'").fetchall() == [(7, 2)]
 
 
 def test_angles_are_below_180(tmp_path: Path) -> None:

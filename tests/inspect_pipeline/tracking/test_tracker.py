@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import duckdb
 import numpy as np
 import pytest
-from flights import START_NS, flight_id_of
+from flights import START_NS, TrackedRows, flight_id_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -211,6 +211,7 @@ def test_tracks_are_written_with_the_rows(tmp_path: Path) -> None:
         focal_px=900.0,
     )
     with FlightWriter(tmp_path, flight_id_of("a")) as writer:
+        rows_of_flight = TrackedRows(writer)
         for i in range(5):
             chords = [across(300), across(600, 100)] if i == 2 else [across(300)]
             points = tuple(np.array(chord, np.float32).reshape(2, 2) for chord in chords)
@@ -218,8 +219,8 @@ def test_tracks_are_written_with_the_rows(tmp_path: Path) -> None:
             time_ns = START_NS + i * PERIOD_NS
             for channel_id, found in ((1, lines), (2, Lines.empty(SIZE))):
                 frame = Frame(channel_id, "/c", i, time_ns, time_ns, time_ns, "", image)
-                writer.add_frame(frame, Detections(Segments.empty(SIZE), found), place=place)
-        writer.finish()
+                rows_of_flight.add_frame(frame, Detections(Segments.empty(SIZE), found), place=place)
+        rows_of_flight.finish()
     rows = duckdb.execute(
         "SELECT channel_id, track_id, first_frame_idx, last_frame_idx, n_frames, n_coasted, mean_score"
         f" FROM '{tmp_path}/tracks.parquet'"

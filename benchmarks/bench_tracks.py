@@ -1,12 +1,11 @@
-"""Lines followed over simulated flights whose truth is known: ours beside the nearest neighbour.
+"""Compare the line tracker with nearest-neighbour association on simulated flights.
 
     python benchmarks/bench_tracks.py [--seeds 5] [--first-seed 100]
 
-The true lines are disturbed: 2 px of noise at each end, one in ten missed, one false line a frame (eight
-where it is cluttered; three in ten missed and two dropouts where it is interrupted). Switches: how often, per
-minute in sight, a conductor's track becomes another one. Fragments: tracks per conductor and stretch in
-sight, 1 at best. Tracked: the share of the found lines of conductors that belong to the track that has most
-of them.
+The true lines are disturbed: 2 px of noise at each end, one in ten removed, one false line per frame (eight
+in `cluttered`; three in ten removed and two dropouts in `interrupted`). Switches: changes of a conductor's
+track per minute in view. Fragments: tracks per conductor and uninterrupted view, 1 at best. Tracked: share of
+the lines of a conductor that belong to its longest track.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import argparse
 import time
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -25,7 +24,7 @@ from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth
 from inspect_pipeline.tracking.camera_motion import CameraMotion
-from inspect_pipeline.tracking.tracker import LineTracker, Moment
+from inspect_pipeline.tracking.tracker import FrameInfo, LineTracker
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,7 +39,7 @@ _SECONDS, _FPS = 40.0, 5.0
 
 @dataclass(frozen=True)
 class Case:
-    """A kind of flight, and how its lines are disturbed."""
+    """A kind of flight, and the disturbance of its lines."""
 
     flight: FlightKind
     faults: tuple[FaultKind, ...] = ()
@@ -58,17 +57,17 @@ CASES = {
 }
 
 
-class Follower(Protocol):
-    """What follows lines."""
+class Tracker(Protocol):
+    """The interface of both trackers."""
 
     def update(
-        self, moment: Moment, chords: Floats, scores: Floats, motion: Floats | None = None
+        self, frame: FrameInfo, chords: Floats, scores: Floats, motion: Floats | None = None
     ) -> NDArray[np.int32]:
-        """The track of each line."""
+        """Return the track id of each line."""
 
 
 class NearestNeighbour:
-    """Each line goes on as the nearest one of the frame before, in rho and theta; the nearest pair first."""
+    """Associate lines with those of the previous frame by distance in rho and theta, nearest pair first."""
 
     def __init__(self) -> None:
         self._ids: list[int] = []
@@ -77,13 +76,13 @@ class NearestNeighbour:
 
     def update(
         self,
-        moment: Moment,
+        frame: FrameInfo,
         chords: Floats,
         scores: Floats,  # noqa: ARG002
         motion: Floats | None = None,  # noqa: ARG002
     ) -> NDArray[np.int32]:
-        """The track of each line."""
-        lines = self._rho_theta(chords, moment.image_size)
+        """Return the track id of each line."""
+        lines = self._rho_theta(chords, frame.image_size)
         ids = np.full(len(lines), -1, np.int32)
         costs = np.array([[self._distance(a, b) for b in lines] for a in self._lines]).reshape(-1, len(lines))
         while costs.size and costs.min() < 3:
@@ -104,7 +103,7 @@ class NearestNeighbour:
 
     @staticmethod
     def _distance(first: Floats, second: Floats) -> float:
-        """Of 20 px or 5 degrees; a line that turns past 0 is the same with rho the other way."""
+        """Return the distance in units of 20 px and 5 degrees, with theta modulo pi."""
         turn = (second[1] - first[1] + np.pi / 2) % np.pi - np.pi / 2
         is_flipped = abs(second[1] - first[1]) > np.pi / 2
         return float(np.hypot((second[0] * (-1 if is_flipped else 1) - first[0]) / 20, np.degrees(turn) / 5))
@@ -114,9 +113,9 @@ class NearestNeighbour:
 class Score:
     """Counts over the flights of a case."""
 
-    seconds_in_sight: float = 0.0
+    seconds_in_view: float = 0.0
     n_switches: int = 0
-    n_stretches: int = 0
+    n_views: int = 0
     n_fragments: int = 0
     n_lines: int = 0
     n_in_main: int = 0
@@ -125,40 +124,36 @@ class Score:
     histories: dict[str, list[int | None]] = field(default_factory=lambda: defaultdict(list))
 
     def close_flight(self, fps: float) -> None:
-        """Count what became of each conductor; None in a history is a frame without it in sight."""
+        """Count the tracks of each conductor. None in a history is a frame in which it is out of view."""
         for history in self.histories.values():
-            for stretch in _stretches(history):
-                seen = [track_id for track_id in stretch if track_id >= 0]
-                self.seconds_in_sight += len(stretch) / fps
-                self.n_switches += sum(a != b for a, b in pairwise(seen))
-                self.n_stretches += bool(seen)
-                self.n_fragments += len(set(seen))
-                self.n_lines += len(seen)
-                self.n_in_main += max(Counter(seen).values(), default=0)
+            for view in _views(history):
+                ids = [track_id for track_id in view if track_id >= 0]
+                self.seconds_in_view += len(view) / fps
+                self.n_switches += sum(a != b for a, b in pairwise(ids))
+                self.n_views += bool(ids)
+                self.n_fragments += len(set(ids))
+                self.n_lines += len(ids)
+                self.n_in_main += max(Counter(ids).values(), default=0)
         self.histories = defaultdict(list)
 
     def figures(self) -> dict[str, float]:
-        """What is printed."""
+        """Return the printed figures."""
         return {
-            "switches_per_minute": 60 * self.n_switches / self.seconds_in_sight,
-            "fragments": self.n_fragments / self.n_stretches,
+            "switches_per_minute": 60 * self.n_switches / self.seconds_in_view,
+            "fragments": self.n_fragments / self.n_views,
             "tracked_share": self.n_in_main / self.n_lines,
             "us_per_frame": 1e6 * self.busy_s / self.n_frames,
         }
 
 
-def _stretches(history: list[int | None]) -> list[list[int]]:
-    stretches: list[list[int]] = [[]]
-    for track_id in history:
-        if track_id is not None:
-            stretches[-1].append(track_id)
-        elif stretches[-1]:
-            stretches.append([])
-    return [stretch for stretch in stretches if stretch]
+def _views(history: list[int | None]) -> list[list[int]]:
+    """Return the runs of a history without None."""
+    runs = groupby(history, lambda track_id: track_id is not None)
+    return [[one for one in run if one is not None] for in_view, run in runs if in_view]
 
 
 def disturbed(frame: FrameTruth, case: Case, rng: np.random.Generator) -> tuple[Floats, list[str | None]]:
-    """(N, 4) chords that a detector might give, and whose conductor each is; None for false ones."""
+    """Return disturbed chords (N, 4) and the conductor of each, None for false lines."""
     chords, names = [], []
     for line in frame.lines:
         if rng.random() >= case.missed_share:
@@ -174,26 +169,26 @@ def disturbed(frame: FrameTruth, case: Case, rng: np.random.Generator) -> tuple[
     return np.array(chords).reshape(-1, 4)[order], [names[i] for i in order]
 
 
-def follow(follower: Follower, case: Case, seed: int, score: Score) -> None:
-    """One flight."""
+def track_flight(tracker: Tracker, case: Case, seed: int, score: Score) -> None:
+    """Track one simulated flight."""
     options = SimulationOptions(seconds=_SECONDS, fps=_FPS, seed=seed, flight=case.flight, faults=case.faults)
     truth, rng = simulate_truth(options), np.random.default_rng(seed)
-    turn = CameraMotion()
+    camera = CameraMotion()
     for frame in truth.frames:
         if frame.frame_idx is None:
             continue
         chords, names = disturbed(frame, case, rng)
-        turns = YawPitchRoll(frame.cam_yaw_deg, frame.cam_pitch_deg, frame.cam_roll_deg)
-        motion = turn.update(turns, frame.log_time_ns, frame.focal_px, frame.image_size)
+        attitude = YawPitchRoll(frame.cam_yaw_deg, frame.cam_pitch_deg, frame.cam_roll_deg)
+        motion = camera.update(attitude, frame.log_time_ns, frame.focal_px, frame.image_size)
         started = time.process_time()
-        moment = Moment(frame.frame_idx, frame.log_time_ns, frame.image_size)
-        ids = follower.update(moment, chords, np.ones(len(chords)), motion)
+        info = FrameInfo(frame.frame_idx, frame.log_time_ns, frame.image_size)
+        ids = tracker.update(info, chords, np.ones(len(chords)), motion)
         score.busy_s += time.process_time() - started
         score.n_frames += 1
         found = dict(zip(names, ids.tolist(), strict=True))
-        in_sight = {line.conductor_id for line in frame.lines}
-        for name in in_sight | set(score.histories):
-            score.histories[name].append(found.get(name, -1) if name in in_sight else None)
+        in_view = {line.conductor_id for line in frame.lines}
+        for name in in_view | set(score.histories):
+            score.histories[name].append(found.get(name, -1) if name in in_view else None)
     score.close_flight(_FPS)
 
 
@@ -202,16 +197,16 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=100)
     arguments = parser.parse_args()
-    followers: dict[str, type[Follower]] = {"ours": LineTracker, "nearest": NearestNeighbour}
+    trackers: dict[str, type[Tracker]] = {"ours": LineTracker, "nearest": NearestNeighbour}
     figures: dict[str, float] = {}
     print(
         f"{'case':12}  {'method':8}  {'switches/min':>12}  {'fragments':>9}  {'tracked':>7}  {'us/frame':>8}"
     )
     for name, case in CASES.items():
-        for method, make in followers.items():
+        for method, make in trackers.items():
             score = Score()
             for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-                follow(make(), case, seed, score)
+                track_flight(make(), case, seed, score)
             found = score.figures()
             figures |= {f"{name}_{method}_{key}": value for key, value in found.items()}
             print(

@@ -1,1 +1,1 @@
-"""Lines followed over the frames of a camera."""
+"""Tracking of lines over the frames of a camera."""

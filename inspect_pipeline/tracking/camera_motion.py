@@ -1,7 +1,8 @@
-"""How far a camera's turns move its pixels, beyond what tracks expect of themselves.
+"""Image motion caused by rotations of the camera.
 
-A camera that circles what it looks at turns steadily, and what it looks at stays where it is: undoing all of
-the turn would move it. So the turn of the last seconds is taken for intended, and what differs is undone.
+A camera that circles a structure rotates steadily while the structure stays in the image: removing the
+whole rotation would move it. The mean rotation rate of the last seconds is therefore taken as intended, and
+only the difference from it is removed.
 """
 
 from __future__ import annotations
@@ -18,37 +19,37 @@ if TYPE_CHECKING:
     from inspect_pipeline.geometry.attitude import YawPitchRoll
 
 
-_STEADY_S = 4.0
+_RATE_TIME_CONSTANT_S = 4.0
 
 
 class CameraMotion:
-    """Follows how one camera is turned."""
+    """Estimate the unintended rotation of one camera between consecutive frames."""
 
     def __init__(self) -> None:
         self._axes: Floats | None = None
         self._time_ns = 0
-        self._steady: Floats | None = None  # rad/s about right, down, ahead
+        self._mean_rate: Floats | None = None  # rad/s about right, down, ahead
 
     def update(
-        self, turns: YawPitchRoll | None, time_ns: int, focal_px: float | None, image_size: tuple[int, int]
+        self, attitude: YawPitchRoll | None, time_ns: int, focal_px: float | None, image_size: tuple[int, int]
     ) -> Floats | None:
-        """(3, 3) from the pixels of the frame before to those of this one, for far things.
+        """Return the homography (3, 3) from pixels of the previous frame to pixels of this one.
 
-        The optical axis is taken to meet the middle of (height, width). None where the turns of this frame or
-        of the one before, or the lens, are not known.
+        It holds for distant objects, with the principal point at the centre of `image_size` (height, width).
+        None when the attitude of either frame or the focal length is unknown.
         """
-        if turns is None or not focal_px:
-            self._axes = self._steady = None
+        if attitude is None or not focal_px:
+            self._axes = self._mean_rate = None
             return None
-        before, self._axes = self._axes, camera_axes(turns)
+        previous, self._axes = self._axes, camera_axes(attitude)
         elapsed_s, self._time_ns = (time_ns - self._time_ns) / 1e9, time_ns
-        if before is None or elapsed_s <= 0:
+        if previous is None or elapsed_s <= 0:
             return None
-        turned = cv2.Rodrigues(self._axes @ before.T)[0].ravel()
-        steady = turned / elapsed_s if self._steady is None else self._steady
-        share = 1 - np.exp(-elapsed_s / _STEADY_S)
-        self._steady = steady + share * (turned / elapsed_s - steady)
+        rotation = cv2.Rodrigues(self._axes @ previous.T)[0].ravel()
+        mean_rate = rotation / elapsed_s if self._mean_rate is None else self._mean_rate
+        gain = 1 - np.exp(-elapsed_s / _RATE_TIME_CONSTANT_S)
+        self._mean_rate = mean_rate + gain * (rotation / elapsed_s - mean_rate)
         height, width = image_size
-        lens = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
-        unsteady = cv2.Rodrigues(np.asarray(turned - steady * elapsed_s, np.float64))[0]
-        return np.asarray(lens @ unsteady @ np.linalg.inv(lens), np.float64)
+        intrinsics = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+        unintended = cv2.Rodrigues(np.asarray(rotation - mean_rate * elapsed_s, np.float64))[0]
+        return np.asarray(intrinsics @ unintended @ np.linalg.inv(intrinsics), np.float64)

@@ -1,7 +1,7 @@
-"""A value that drifts, and what is known of it: a Kalman filter of the value and its speed.
+"""Kalman filter of a value and its rate of change, in closed form.
 
-The speed is pushed at random and forgotten within a second or two, an Ornstein-Uhlenbeck process: soon after
-it was measured a value is expected to go on as it went, long after to have stopped somewhere.
+The rate is an Ornstein-Uhlenbeck process: it is disturbed at random and decays with a time constant. Shortly
+after a measurement the value is predicted to continue at its rate, long after it to have stopped.
 """
 
 from __future__ import annotations
@@ -10,60 +10,60 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-_SPEED_LASTS_S = 1.5
+_RATE_TIME_CONSTANT_S = 1.5
 
 
-class Pace(NamedTuple):
-    """How a value and its speed go on for some time."""
+class Transition(NamedTuple):
+    """State transition over a time step, with the process noise for a rate of standard deviation 1."""
 
-    decay: float  # of the speed
-    reach_s: float  # how long it would go on at its first speed
-    value_spread: float  # variances that are added, for a usual speed of 1
-    both_spread: float
-    speed_spread: float
+    decay: float  # of the rate
+    reach_s: float  # integral of the decaying rate, for an initial rate of 1
+    value_var: float
+    covariance: float
+    rate_var: float
 
     @classmethod
-    def of(cls, elapsed_s: float) -> Pace:
-        """For a time that passes."""
-        lasts_s, decay = _SPEED_LASTS_S, math.exp(-elapsed_s / _SPEED_LASTS_S)
+    def over(cls, elapsed_s: float) -> Transition:
+        """Return the transition over `elapsed_s` seconds."""
+        tau_s, decay = _RATE_TIME_CONSTANT_S, math.exp(-elapsed_s / _RATE_TIME_CONSTANT_S)
         return cls(
             decay=decay,
-            reach_s=lasts_s * (1 - decay),
-            value_spread=lasts_s**2 * (2 * elapsed_s / lasts_s - 3 + 4 * decay - decay**2),
-            both_spread=lasts_s * (1 - decay) ** 2,
-            speed_spread=1 - decay**2,
+            reach_s=tau_s * (1 - decay),
+            value_var=tau_s**2 * (2 * elapsed_s / tau_s - 3 + 4 * decay - decay**2),
+            covariance=tau_s * (1 - decay) ** 2,
+            rate_var=1 - decay**2,
         )
 
 
 @dataclass(slots=True)
 class KalmanState:
-    """A value with its variance, the usual size of its speed, and its speed, not known at first."""
+    """A value and its rate, with their covariance. The rate is 0 +- `rate_std` at first."""
 
     value: float
     value_var: float
-    usual_speed: float
-    speed: float = 0.0
-    both_var: float = 0.0
-    speed_var: float = field(init=False)
+    rate_std: float
+    rate: float = 0.0
+    covariance: float = 0.0
+    rate_var: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.speed_var = self.usual_speed**2
+        self.rate_var = self.rate_std**2
 
-    def go_on(self, pace: Pace) -> None:
-        """Expect it after some time."""
-        reach, decay, push = pace.reach_s, pace.decay, self.usual_speed**2
-        self.value += reach * self.speed
-        self.speed *= decay
-        self.value_var += reach * (2 * self.both_var + reach * self.speed_var) + push * pace.value_spread
-        self.both_var = decay * (self.both_var + reach * self.speed_var) + push * pace.both_spread
-        self.speed_var = decay**2 * self.speed_var + push * pace.speed_spread
+    def predict(self, step: Transition) -> None:
+        """Move the state ahead in time."""
+        reach, decay, noise = step.reach_s, step.decay, self.rate_std**2
+        self.value += reach * self.rate
+        self.rate *= decay
+        self.value_var += reach * (2 * self.covariance + reach * self.rate_var) + noise * step.value_var
+        self.covariance = decay * (self.covariance + reach * self.rate_var) + noise * step.covariance
+        self.rate_var = decay**2 * self.rate_var + noise * step.rate_var
 
-    def correct(self, difference: float, noise_var: float) -> None:
-        """Take in that it was measured, so far from what was expected."""
+    def update(self, innovation: float, noise_var: float) -> None:
+        """Apply a measurement of the value, as its difference from the prediction."""
         total = self.value_var + noise_var
-        gain, speed_gain = self.value_var / total, self.both_var / total
-        self.value += gain * difference
-        self.speed += speed_gain * difference
-        self.speed_var -= speed_gain * self.both_var
+        gain, rate_gain = self.value_var / total, self.covariance / total
+        self.value += gain * innovation
+        self.rate += rate_gain * innovation
+        self.rate_var -= rate_gain * self.covariance
         self.value_var *= 1 - gain
-        self.both_var *= 1 - gain
+        self.covariance *= 1 - gain

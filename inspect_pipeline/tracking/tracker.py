@@ -1,13 +1,13 @@
-"""Lines followed over the frames of a camera.
+"""Line tracker of one camera.
 
     tracker = LineTracker()
     for frame in frames:
-        track_ids = tracker.update(moment, chords, scores, motion)     # one for each line
-    tracks = tracker.finish()                                          # the ones that were confirmed
+        track_ids = tracker.update(frame_info, chords, scores, motion)  # one for each line
+    tracks = tracker.finish()                                           # the confirmed ones
 
-A line is its direction and its distance aside (theta and rho), and how far it extends. A Kalman filter says
-where each track is expected, after the camera's own turn is undone; expectations and lines are matched by the
-Hungarian algorithm. A track that finds no line coasts for a while before it ends.
+The state of a track is its angle, its offset (theta and rho) and its extent. A Kalman filter predicts each
+track after the rotation of the camera is compensated. Predictions and lines are assigned by the Hungarian
+algorithm. A track without a line coasts for a while before it ends.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.tracking.kalman import KalmanState, Pace
-from inspect_pipeline.tracking.measurements import FrameLines, continues, half_turned
+from inspect_pipeline.tracking.kalman import KalmanState, Transition
+from inspect_pipeline.tracking.measurements import FrameLines, extends_line, wrap_half_turn
 
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Ints32, RealArray
 
 
-# As a share of the longer side of the image, or in rad, a second: how fast lines may drift.
-_ASIDE_SPEED, _ANGLE_SPEED = 90 / 1280, float(np.radians(5))
-_GAP_SHARE = 100 / 1280  # between the ends of a line and of the track, as bad as a standard deviation
+# Standard deviation of the rates, as a share of the longer image side, or in rad, per second.
+_OFFSET_RATE, _ANGLE_RATE = 90 / 1280, float(np.radians(5))
+_GAP_STD = 100 / 1280  # distance between the ends of line and track that counts as one deviation
 _GATE = 8.0  # squared standard deviations
-_PIECE_GATE = 6.0  # for further pieces of a line that is found already
+_PIECE_GATE = 6.0  # for further pieces of a line that already has its track
 _CONFIRMED_FRAMES = 3
 _COAST_FRAMES, _TENTATIVE_COAST_FRAMES = 10, 1
 _COAST_S = 5.0
 
 
-class Moment(NamedTuple):
-    """Which frame, when, and the (height, width) of its image."""
+class FrameInfo(NamedTuple):
+    """Index and time of a frame, and the (height, width) of its image."""
 
     frame_idx: int
     time_ns: int
@@ -44,7 +44,7 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TrackRow:
-    """A track that was confirmed; the fields are those of the table `tracks`."""
+    """A confirmed track; the fields are columns of the table `tracks`."""
 
     track_id: int
     first_frame_idx: int
@@ -60,18 +60,18 @@ class TrackRow:
 
 @dataclass(slots=True)
 class _Track:
-    """A line as it is expected: through `middle` (px from that of the image), `half_px` to either side."""
+    """A predicted line, `half_length_px` to both sides of `centre` (px from the image centre)."""
 
     track_id: int
     angle: KalmanState  # rad, unwrapped
-    aside: KalmanState  # px off the middle, moved into it at once
-    middle: Floats
-    half_px: float
-    first: Moment
-    last: Moment
-    sums: Floats  # of score, angle, offset from the middle of the image
+    offset: KalmanState  # px across the line; its value is moved into `centre` after each step
+    centre: Floats
+    half_length_px: float
+    first: FrameInfo
+    last: FrameInfo
+    sums: Floats  # of score, angle, offset from the image centre
     n_frames: int = 1
-    n_missed: int = 0  # since it was last found
+    n_missed: int = 0  # since the last line
     n_coasted: int = 0
 
     @property
@@ -82,50 +82,48 @@ class _Track:
     def direction(self) -> Floats:
         return np.array([np.cos(self.angle.value), np.sin(self.angle.value)])
 
-    def move_aside(self) -> None:
-        x, y = self.direction
-        self.middle = self.middle + self.aside.value * np.array([-y, x])
-        self.aside.value = 0.0
+    def predict(self, step: Transition) -> None:
+        self.angle.predict(step)
+        self.offset.predict(step)
+        self._apply_offset()
 
-    def go_on(self, pace: Pace) -> None:
-        self.angle.go_on(pace)
-        self.aside.go_on(pace)
-        self.move_aside()
-
-    def turn(self, motion: Floats, image_size: tuple[int, int]) -> None:
-        """Go where the camera's turn moves the pixels of the line; what is turned out of sight stays."""
-        height, width = image_size
-        ends = self.middle + np.outer((-self.half_px, self.half_px), self.direction) + (width / 2, height / 2)
-        moved = np.column_stack((ends, np.ones(2))) @ motion.T
+    def warp(self, motion: Floats, image_size: tuple[int, int]) -> None:
+        """Move the line by a homography (3, 3) of pixels, unless that moves it behind the camera."""
+        image_centre = np.array(image_size[::-1]) / 2
+        ends = self.centre + np.outer((-self.half_length_px, self.half_length_px), self.direction)
+        moved = np.column_stack((ends + image_centre, np.ones(2))) @ motion.T
         if moved[:, 2].min() < 0.1:
             return
-        first, last = moved[:, :2] / moved[:, 2:] - (width / 2, height / 2)
+        first, last = moved[:, :2] / moved[:, 2:] - image_centre
         x, y = last - first
-        self.angle.value += float(half_turned(np.arctan2(y, x) - self.angle.value))
-        self.middle, self.half_px = (first + last) / 2, float(np.hypot(x, y)) / 2
+        self.angle.value += float(wrap_half_turn(np.arctan2(y, x) - self.angle.value))
+        self.centre, self.half_length_px = (first + last) / 2, float(np.hypot(x, y)) / 2
 
-    def correct(self, moment: Moment, line: FrameLines, score: float) -> None:
-        """Draw it towards the one line that was found."""
-        turn = float(half_turned(line.angles[0] - self.angle.value))
-        angle_var, aside_var = line.noise[0].tolist()
+    def update(self, frame: FrameInfo, line: FrameLines, score: float) -> None:
+        """Apply one measured line."""
+        turn = float(wrap_half_turn(line.angles[0] - self.angle.value))
+        angle_var, offset_var = line.variances[0].tolist()
         x, y = self.direction
-        away = line.middles[0] - self.middle
-        along_px = float(away @ (x, y))
-        # An error of the angle shifts the line at a distance along it.
-        aside_px, shift_var = float(away @ (-y, x)), along_px**2 * self.angle.value_var
-        self.angle.correct(turn, angle_var)
-        self.aside.correct(aside_px, aside_var + shift_var)
-        self.move_aside()
-        self.middle, self.half_px = self.middle + along_px * self.direction, float(line.halves[0])
+        difference = line.centres[0] - self.centre
+        along_px, across_px = float(difference @ (x, y)), float(difference @ (-y, x))
+        # An error of the angle shifts the line in proportion to the distance along it.
+        lever_var = along_px**2 * self.angle.value_var
+        self.angle.update(turn, angle_var)
+        self.offset.update(across_px, offset_var + lever_var)
+        self._apply_offset()
+        self.centre = self.centre + along_px * self.direction
+        self.half_length_px = float(line.half_lengths[0])
         self.n_coasted += self.n_missed
         self.n_missed = 0
         self.n_frames += 1
-        self.last = moment
-        self.sums += (score, self.angle.value, self._offset_px())
-
-    def _offset_px(self) -> float:
+        self.last = frame
         x, y = self.direction
-        return float(self.middle @ (-y, x))
+        self.sums += (score, self.angle.value, float(self.centre @ (-y, x)))
+
+    def _apply_offset(self) -> None:
+        x, y = self.direction
+        self.centre = self.centre + self.offset.value * np.array([-y, x])
+        self.offset.value = 0.0
 
     def has_ended(self, time_ns: int) -> bool:
         coast_frames = _COAST_FRAMES if self.is_confirmed else _TENTATIVE_COAST_FRAMES
@@ -149,7 +147,7 @@ class _Track:
 
 
 class LineTracker:
-    """Follows the lines of one camera; frames come in the order of time."""
+    """Track the lines of one camera. Frames are given in time order."""
 
     def __init__(self) -> None:
         self._tracks: list[_Track] = []
@@ -158,57 +156,62 @@ class LineTracker:
         self._time_ns: int | None = None
 
     def update(
-        self, moment: Moment, chords: Floats, scores: RealArray, motion: Floats | None = None
+        self, frame: FrameInfo, chords: Floats, scores: RealArray, motion: Floats | None = None
     ) -> Ints32:
-        """The track of each line of a frame.
+        """Assign the lines of a frame to tracks.
 
-        chords: (N, 4) x1, y1, x2, y2 in px; scores: (N,). motion: (3, 3) from the pixels of the frame before
-        to those of this one, as the camera turned; None where that is not known. Lines of tracks that
-        `finish` does not name belong to none.
+        Args:
+            frame: index, time and image size of the frame.
+            chords: (N, 4) end points x1, y1, x2, y2 in px.
+            scores: (N,).
+            motion: homography (3, 3) from pixels of the previous frame to pixels of this one, None where the
+                rotation of the camera is unknown.
+
+        Returns:
+            Track ids (N,). Those that `finish` does not return were never confirmed.
         """
-        self._advance(moment, motion)
-        lines = FrameLines.of(chords, moment.image_size)
+        self._predict(frame, motion)
+        lines = FrameLines.from_chords(chords, frame.image_size)
         track_ids = np.full(len(chords), -1, np.int32)
-        found = _match(self._tracks, lines, max(moment.image_size))
+        assigned = _assign(self._tracks, lines, max(frame.image_size))
         for number, track in enumerate(self._tracks):
-            pieces = found.get(number)
+            pieces = assigned.get(number)
             if pieces is None:
                 track.n_missed += 1
             else:
                 track_ids[pieces] = track.track_id
-                track.correct(moment, lines.joined(pieces, track.direction), float(scores[pieces].max()))
+                track.update(frame, lines.merge(pieces, track.direction), float(scores[pieces].max()))
         for i in np.flatnonzero(track_ids < 0).tolist():
-            track_ids[i] = self._begin(moment, lines, i, float(scores[i]))
-        self._end_lost(moment.time_ns)
+            track_ids[i] = self._start_track(frame, lines, i, float(scores[i]))
+        self._end_lost(frame.time_ns)
         return track_ids
 
     def finish(self) -> list[TrackRow]:
-        """All confirmed tracks, in the order they began."""
+        """Return all confirmed tracks in the order of their first frames."""
         self._ended += [track.to_row() for track in self._tracks if track.is_confirmed]
         self._tracks = []
         return sorted(self._ended, key=lambda row: row.track_id)
 
-    def _advance(self, moment: Moment, motion: Floats | None) -> None:
-        """Move all tracks to where they are expected now."""
-        elapsed_s = (moment.time_ns - self._time_ns) / 1e9 if self._time_ns is not None else 0.0
-        self._time_ns = moment.time_ns
-        pace = Pace.of(max(elapsed_s, 0.0))
+    def _predict(self, frame: FrameInfo, motion: Floats | None) -> None:
+        elapsed_s = (frame.time_ns - self._time_ns) / 1e9 if self._time_ns is not None else 0.0
+        self._time_ns = frame.time_ns
+        step = Transition.over(max(elapsed_s, 0.0))
         for track in self._tracks:
             if motion is not None:
-                track.turn(motion, moment.image_size)
-            track.go_on(pace)
+                track.warp(motion, frame.image_size)
+            track.predict(step)
 
-    def _begin(self, moment: Moment, lines: FrameLines, i: int, score: float) -> int:
-        angle, (angle_var, aside_var) = float(lines.angles[i]), lines.noise[i].tolist()
+    def _start_track(self, frame: FrameInfo, lines: FrameLines, i: int, score: float) -> int:
+        angle, (angle_var, offset_var) = float(lines.angles[i]), lines.variances[i].tolist()
         track = _Track(
             track_id=self._next_id,
-            angle=KalmanState(angle, angle_var, _ANGLE_SPEED),
-            aside=KalmanState(0.0, aside_var, _ASIDE_SPEED * max(moment.image_size)),
-            middle=lines.middles[i],
-            half_px=float(lines.halves[i]),
-            first=moment,
-            last=moment,
-            sums=np.array([score, angle, lines.middles[i] @ (-np.sin(angle), np.cos(angle))]),
+            angle=KalmanState(angle, angle_var, _ANGLE_RATE),
+            offset=KalmanState(0.0, offset_var, _OFFSET_RATE * max(frame.image_size)),
+            centre=lines.centres[i],
+            half_length_px=float(lines.half_lengths[i]),
+            first=frame,
+            last=frame,
+            sums=np.array([score, angle, lines.centres[i] @ (-np.sin(angle), np.cos(angle))]),
         )
         self._tracks.append(track)
         self._next_id += 1
@@ -220,50 +223,53 @@ class LineTracker:
         self._tracks = [track for track in self._tracks if not track.has_ended(time_ns)]
 
 
-def _match(tracks: list[_Track], lines: FrameLines, longer_px: int) -> dict[int, list[int]]:
-    """The lines of each track that is found, by its number in the list."""
+def _assign(tracks: list[_Track], lines: FrameLines, longer_px: int) -> dict[int, list[int]]:
+    """Return the lines of each track that has any, keyed by its position in the list."""
     if not tracks or not len(lines.angles):
         return {}
     costs = _costs(tracks, lines, longer_px)
     # A track without a line costs as much as the worst line that it may take.
     padded = np.hstack((np.minimum(costs, 2 * _GATE), np.full((len(costs), len(costs)), _GATE)))
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415, half of what publishing waits for
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415, half of the time publish takes to start
 
     rows, columns = linear_sum_assignment(padded)
-    found = {
+    assigned = {
         row: [column]
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
         if column < costs.shape[1] and costs[row, column] < _GATE
     }
-    _add_pieces(found, costs, lines, tracks)
-    return found
+    _add_pieces(assigned, costs, lines, tracks)
+    return assigned
 
 
 def _costs(tracks: list[_Track], lines: FrameLines, longer_px: int) -> Floats:
-    """(T, N): how far each line is from what each track expects, in squared standard deviations."""
-    angles, angle_vars, aside_vars, halves = np.array(
-        [(t.angle.value, t.angle.value_var, t.aside.value_var, t.half_px) for t in tracks]
+    """Return the squared Mahalanobis distances (T, N) of lines from tracks, with a term for gaps between."""
+    angles, angle_vars, offset_vars, half_lengths = np.array(
+        [(t.angle.value, t.angle.value_var, t.offset.value_var, t.half_length_px) for t in tracks]
     ).T[..., np.newaxis]
-    away = lines.middles - np.array([track.middle for track in tracks])[:, np.newaxis]
+    difference = lines.centres - np.array([track.centre for track in tracks])[:, np.newaxis]
     cosine, sine = np.cos(angles), np.sin(angles)
-    along, aside = away[..., 0] * cosine + away[..., 1] * sine, away[..., 1] * cosine - away[..., 0] * sine
-    turns = half_turned(lines.angles - angles)
-    gaps = np.maximum(0, np.abs(along) - halves - lines.halves * np.abs(np.cos(turns)))
+    along = difference[..., 0] * cosine + difference[..., 1] * sine
+    across = difference[..., 1] * cosine - difference[..., 0] * sine
+    turns = wrap_half_turn(lines.angles - angles)
+    gaps = np.maximum(0, np.abs(along) - half_lengths - lines.half_lengths * np.abs(np.cos(turns)))
     costs: Floats = (
-        aside**2 / (aside_vars + lines.noise[:, 1] + along**2 * angle_vars)
-        + turns**2 / (angle_vars + lines.noise[:, 0])
-        + (gaps / (_GAP_SHARE * longer_px)) ** 2
+        across**2 / (offset_vars + lines.variances[:, 1] + along**2 * angle_vars)
+        + turns**2 / (angle_vars + lines.variances[:, 0])
+        + (gaps / (_GAP_STD * longer_px)) ** 2
     )
     return costs
 
 
-def _add_pieces(found: dict[int, list[int]], costs: Floats, lines: FrameLines, tracks: list[_Track]) -> None:
-    """Give lines that no track has to tracks that they continue, nearest first."""
-    taken = {piece for pieces in found.values() for piece in pieces}
+def _add_pieces(
+    assigned: dict[int, list[int]], costs: Floats, lines: FrameLines, tracks: list[_Track]
+) -> None:
+    """Assign lines without a track to tracks whose lines they extend, nearest track first."""
+    taken = {piece for pieces in assigned.values() for piece in pieces}
     for i in range(costs.shape[1]):
         for row in np.argsort(costs[:, i]).tolist() if i not in taken else ():
             if costs[row, i] > _PIECE_GATE:
                 break
-            if row in found and continues(lines.ends @ tracks[row].direction, found[row], i):
-                found[row].append(i)
+            if row in assigned and extends_line(lines.ends @ tracks[row].direction, assigned[row], i):
+                assigned[row].append(i)
                 break

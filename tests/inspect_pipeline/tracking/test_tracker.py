@@ -1,4 +1,4 @@
-"""Tracks of lines whose ways are known: straight ones by hand, and conductors of simulated flights."""
+"""Tracking: lines whose motion is known, and a Kalman filter written in matrices."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from inspect_pipeline.georeference.frames import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.types import Frame
 from inspect_pipeline.tracking.camera_motion import CameraMotion
-from inspect_pipeline.tracking.kalman import KalmanState, Pace
-from inspect_pipeline.tracking.tracker import LineTracker, Moment
+from inspect_pipeline.tracking.kalman import KalmanState, Transition
+from inspect_pipeline.tracking.tracker import FrameInfo, LineTracker
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ SIZE = (720, 1280)
 PERIOD_NS = 200_000_000
 
 
-def moment(i: int) -> Moment:
-    return Moment(i, START_NS + i * PERIOD_NS, SIZE)
+def frame_info(i: int) -> FrameInfo:
+    return FrameInfo(i, START_NS + i * PERIOD_NS, SIZE)
 
 
 def across(y: float, slope_px: float = 0.0, x1: float = 0.0, x2: float = 1280.0) -> tuple[float, ...]:
@@ -44,13 +44,13 @@ def across(y: float, slope_px: float = 0.0, x1: float = 0.0, x2: float = 1280.0)
 def run(frames: Sequence[Sequence[tuple[float, ...]]]) -> tuple[list[list[int]], LineTracker]:
     tracker = LineTracker()
     ids = [
-        tracker.update(moment(i), np.array(lines).reshape(-1, 4), np.full(len(lines), 0.5)).tolist()
+        tracker.update(frame_info(i), np.array(lines).reshape(-1, 4), np.full(len(lines), 0.5)).tolist()
         for i, lines in enumerate(frames)
     ]
     return ids, tracker
 
 
-def test_lines_that_drift_keep_their_tracks_whatever_their_order() -> None:
+def test_drifting_lines_keep_their_tracks_in_any_order() -> None:
     frames = [[across(100 + 12 * i), across(200 + 12 * i), across(300 + 12 * i)] for i in range(12)]
     ids, tracker = run([lines if i % 2 else lines[::-1] for i, lines in enumerate(frames)])
     assert all(found == (ids[1] if i % 2 else ids[0]) for i, found in enumerate(ids))
@@ -64,14 +64,14 @@ def test_lines_that_drift_keep_their_tracks_whatever_their_order() -> None:
     assert {(row.start_ns, row.end_ns) for row in rows} == {(START_NS, START_NS + 11 * PERIOD_NS)}
 
 
-def test_a_line_that_crosses_others_stays_itself() -> None:
-    """One moves down by 30 px a frame through two that stand still, at an angle."""
+def test_crossing_line_keeps_its_track() -> None:
+    """One line moves down by 30 px a frame across two that stay."""
     frames = [[across(250), across(500), across(100 + 30 * i, slope_px=250)] for i in range(20)]
     ids, _ = run(frames)
     assert all(found == ids[0] for found in ids)
 
 
-def test_a_track_coasts_over_misses_and_counts_them() -> None:
+def test_track_coasts_over_missed_frames_and_counts_them() -> None:
     frames = [[across(300 + 8 * i)] if not 5 <= i < 9 else [] for i in range(15)]
     ids, tracker = run(frames)
     assert {found[0] for found in ids if found} == {ids[0][0]}
@@ -79,14 +79,14 @@ def test_a_track_coasts_over_misses_and_counts_them() -> None:
     assert (row.n_frames, row.n_coasted) == (11, 4)
 
 
-def test_after_a_long_absence_a_line_is_another_track() -> None:
+def test_line_gets_a_new_track_after_a_long_absence() -> None:
     frames = [[across(300)] if not 5 <= i < 20 else [] for i in range(25)]
     ids, tracker = run(frames)
     assert ids[4] != ids[20]
     assert [row.n_frames for row in tracker.finish()] == [5, 5]
 
 
-def test_what_comes_once_is_no_track() -> None:
+def test_random_clutter_makes_no_long_track() -> None:
     rng = np.random.default_rng(1)
     frames = [[across(300), tuple(rng.uniform((0, 0, 0, 0), (1280, 720, 1280, 720)))] for _ in range(40)]
     ids, tracker = run(frames)
@@ -94,15 +94,15 @@ def test_what_comes_once_is_no_track() -> None:
     assert (row.track_id, row.n_frames) == (ids[0][0], 40)
 
 
-def test_pieces_of_a_line_belong_to_its_track() -> None:
+def test_pieces_of_a_line_share_its_track() -> None:
     pieces = [across(300, 50, 0, 500), across(300, 50, 620, 1280)]
     ids, _ = run([[across(300, 50)], [across(300, 50)], [*pieces, across(340, 50)], [across(300, 50)]])
     assert ids[2] == [ids[0][0], ids[0][0], ids[2][2]]
     assert ids[2][2] != ids[0][0]
 
 
-def test_a_turn_past_the_vertical_is_no_jump() -> None:
-    """Lines have no direction: 179 degrees are near 1 degree, and the offset changes its sign between."""
+def test_angle_wraps_without_a_jump() -> None:
+    """Lines have no direction: 179 degrees are next to 1 degree, with the offset of opposite sign."""
     angles = np.radians(80 + 2 * np.arange(20))
     way = np.column_stack((np.cos(angles), np.sin(angles)))
     middle = np.array([700.0, 300.0])
@@ -113,29 +113,29 @@ def test_a_turn_past_the_vertical_is_no_jump() -> None:
     assert row.mean_angle_deg == pytest.approx(99, abs=2)
 
 
-def seen_by(turns: YawPitchRoll, rays: np.ndarray) -> np.ndarray:
-    """(N, 2) pixels of directions in north, east, down, by SciPy's rotation; 900 px of focal length."""
-    body = Rotation.from_euler("ZYX", turns, degrees=True).inv().apply(rays)
+def project(attitude: YawPitchRoll, rays: np.ndarray) -> np.ndarray:
+    """Project directions (N, 3) in north, east, down by SciPy's rotation, with a focal length of 900 px."""
+    body = Rotation.from_euler("ZYX", attitude, degrees=True).inv().apply(rays)
     return 900 * body[:, 1:] / body[:, :1] + (640, 360)
 
 
 def far_rays() -> np.ndarray:
-    """Both ends of five lines side by side, as a camera that looks north sees them."""
+    """Return rays to both ends of five parallel lines, for a camera that looks north."""
     x = np.repeat([560.0, 600.0, 640.0, 680.0, 720.0], 2)
     y = np.tile([0.0, 720.0], 5)
     return np.column_stack((np.ones(10), (x - 640) / 900, (y - 360) / 900))
 
 
-def test_the_turn_of_the_camera_is_undone() -> None:
-    """The camera yaws by 4 degrees a frame, to and fro: 60 px, one and a half times between the lines."""
+def test_camera_rotation_is_compensated() -> None:
+    """The camera yaws by 4 degrees between frames: 60 px, 1.5 times the distance between the lines."""
 
     def follow(*, with_motion: bool) -> list[list[int]]:
-        tracker, turn, ids = LineTracker(), CameraMotion(), []
+        tracker, camera, ids = LineTracker(), CameraMotion(), []
         for i in range(12):
-            turns = YawPitchRoll(4.0 * (i % 2), 0.0, 0.0) if i > 3 else YawPitchRoll(0.0, 0.0, 0.0)
-            motion = turn.update(turns, moment(i).time_ns, 900.0 if with_motion else None, SIZE)
-            chords = seen_by(turns, far_rays()).reshape(-1, 4)
-            ids.append(tracker.update(moment(i), chords, np.ones(5), motion).tolist())
+            attitude = YawPitchRoll(4.0 * (i % 2), 0.0, 0.0) if i > 3 else YawPitchRoll(0.0, 0.0, 0.0)
+            motion = camera.update(attitude, frame_info(i).time_ns, 900.0 if with_motion else None, SIZE)
+            chords = project(attitude, far_rays()).reshape(-1, 4)
+            ids.append(tracker.update(frame_info(i), chords, np.ones(5), motion).tolist())
         return ids
 
     with_motion, without = follow(with_motion=True), follow(with_motion=False)
@@ -143,63 +143,67 @@ def test_the_turn_of_the_camera_is_undone() -> None:
     assert any(found != before for before, found in pairwise(without))
 
 
-def test_a_turn_moves_pixels_as_far_things_move() -> None:
-    """After seconds of rest, a turn about all axes."""
-    turn, rest, after = CameraMotion(), YawPitchRoll(30.0, -40.0, 3.0), YawPitchRoll(33.0, -38.0, 1.0)
-    motions = [turn.update(rest, moment(i).time_ns, 900.0, SIZE) for i in range(5)]
+def test_motion_maps_pixels_of_distant_points() -> None:
+    """The camera rotates about all axes after seconds at rest."""
+    camera, rest, after = CameraMotion(), YawPitchRoll(30.0, -40.0, 3.0), YawPitchRoll(33.0, -38.0, 1.0)
+    motions = [camera.update(rest, frame_info(i).time_ns, 900.0, SIZE) for i in range(5)]
     assert motions[0] is None
     assert all(motion == pytest.approx(np.eye(3), abs=1e-9) for motion in motions[1:])
-    motion = turn.update(after, moment(5).time_ns, 900.0, SIZE)
+    motion = camera.update(after, frame_info(5).time_ns, 900.0, SIZE)
     rays = Rotation.from_euler("ZYX", rest, degrees=True).apply(far_rays())
-    moved = np.column_stack((seen_by(rest, rays), np.ones(10))) @ motion.T
-    assert moved[:, :2] / moved[:, 2:] == pytest.approx(seen_by(after, rays), abs=1e-6)
+    moved = np.column_stack((project(rest, rays), np.ones(10))) @ motion.T
+    assert moved[:, :2] / moved[:, 2:] == pytest.approx(project(after, rays), abs=1e-6)
 
 
-def test_a_steady_turn_is_left_to_the_tracks() -> None:
-    turn = CameraMotion()
+def test_steady_rotation_is_not_compensated() -> None:
+    camera = CameraMotion()
     motions = [
-        turn.update(YawPitchRoll(2.0 * i, -30.0, 0.0), moment(i).time_ns, 900.0, SIZE) for i in range(8)
+        camera.update(YawPitchRoll(2.0 * i, -30.0, 0.0), frame_info(i).time_ns, 900.0, SIZE) for i in range(8)
     ]
     assert all(motion == pytest.approx(np.eye(3), abs=1e-6) for motion in motions[1:])
-    assert turn.update(None, moment(8).time_ns, 900.0, SIZE) is None
-    assert turn.update(YawPitchRoll(0.0, 0.0, 0.0), moment(9).time_ns, 900.0, SIZE) is None  # it begins anew
+    assert camera.update(None, frame_info(8).time_ns, 900.0, SIZE) is None
+    assert (
+        camera.update(YawPitchRoll(0.0, 0.0, 0.0), frame_info(9).time_ns, 900.0, SIZE) is None
+    )  # starts again
 
 
-def test_a_flight_without_lines_has_no_tracks() -> None:
+def test_frames_without_lines_make_no_tracks() -> None:
     ids, tracker = run([[], [], []])
     assert (ids, tracker.finish()) == ([[], [], []], [])
 
 
 @given(st.floats(0.01, 3), st.floats(0.01, 3), st.floats(-5, 5), st.floats(-5, 5))
-def test_waiting_twice_is_waiting_once(first_s: float, second_s: float, value: float, speed: float) -> None:
-    twice, once = KalmanState(value, 0.3, 2.0, speed, 0.1), KalmanState(value, 0.3, 2.0, speed, 0.1)
-    twice.go_on(Pace.of(first_s))
-    twice.go_on(Pace.of(second_s))
-    once.go_on(Pace.of(first_s + second_s))
+def test_two_predictions_equal_one_over_the_sum(
+    first_s: float, second_s: float, value: float, rate: float
+) -> None:
+    twice, once = KalmanState(value, 0.3, 2.0, rate, 0.1), KalmanState(value, 0.3, 2.0, rate, 0.1)
+    twice.predict(Transition.over(first_s))
+    twice.predict(Transition.over(second_s))
+    once.predict(Transition.over(first_s + second_s))
     assert astuple(twice) == pytest.approx(astuple(once))
 
 
 @given(st.floats(0.1, 5), st.floats(0.1, 5), st.floats(-0.9, 0.9), st.floats(0.1, 5), st.floats(-9, 9))
-def test_a_correction_is_that_of_the_textbook(
-    value_var: float, speed_var: float, correlation: float, noise_var: float, difference: float
+def test_update_equals_the_matrix_form(
+    value_var: float, rate_var: float, correlation: float, noise_var: float, difference: float
 ) -> None:
-    """x + K y and (I - K H) P, in matrices."""
-    both_var = correlation * np.sqrt(value_var * speed_var)
-    measured = KalmanState(1.0, value_var, 1.0, 2.0, both_var)
-    measured.speed_var = speed_var
-    covariance = np.array([[value_var, both_var], [both_var, speed_var]])
+    """Compare with x + K y and (I - K H) P."""
+    cross_var = correlation * np.sqrt(value_var * rate_var)
+    measured = KalmanState(1.0, value_var, 1.0, 2.0, cross_var)
+    measured.rate_var = rate_var
+    covariance = np.array([[value_var, cross_var], [cross_var, rate_var]])
     seen = np.array([[1.0, 0.0]])
     gain = covariance @ seen.T / (seen @ covariance @ seen.T + noise_var)
     state = np.array([[1.0], [2.0]]) + gain * difference
     covariance = (np.eye(2) - gain @ seen) @ covariance
-    measured.correct(difference, noise_var)
-    assert (measured.value, measured.speed) == pytest.approx(tuple(state.ravel()))
-    found = (measured.value_var, measured.both_var, measured.speed_var)
+    measured.update(difference, noise_var)
+    assert (measured.value, measured.rate) == pytest.approx(tuple(state.ravel()))
+    found = (measured.value_var, measured.covariance, measured.rate_var)
     assert found == pytest.approx((covariance[0, 0], covariance[0, 1], covariance[1, 1]))
 
 
-def test_tracks_are_written_with_the_rows(tmp_path: Path) -> None:
-    """Two cameras: one sees a line in each frame and a false one once, the other one sees nothing."""
+def test_tracks_parquet_of_two_cameras(tmp_path: Path) -> None:
+    """One camera has a line in each frame and a false one once, the other has none."""
     image = np.zeros((*SIZE, 3), np.uint8)
     place = FramePose(
         lat_deg=52.0,

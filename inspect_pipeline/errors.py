@@ -3,6 +3,7 @@
 InspectError
 ├── FileError                about one file: path, problem, remedy
 │   ├── RecordingError       a recording that cannot be read or annotated
+│   │   └── NoImagesError        an intact recording without images
 │   ├── StoreError           a store that cannot be read or written
 │   │   ├── StoreBusyError       exit 11
 │   │   └── StoreVersionError    exit 12
@@ -46,6 +47,10 @@ class FileError(InspectError):
 
 class RecordingError(FileError):
     """Raised when a recording cannot be read or annotated."""
+
+
+class NoImagesError(RecordingError):
+    """Raised when an intact recording has no images, as one of telemetry only."""
 
 
 class StoreError(FileError):

@@ -20,7 +20,7 @@ from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.recording.reader import RUN_METADATA, open_recording
+from inspect_pipeline.recording.reader import RUN_METADATA, join_phrases, open_recording
 from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
 from inspect_pipeline.tracking.flight import FlightTracker
 
@@ -234,7 +234,7 @@ def _to_record(
         source_uri=source.path.absolute().as_uri(),
         source_bytes=source.size_bytes,
         status="recovered" if losses else "ok",
-        reason="; ".join(losses) or None,
+        reason=join_phrases(list(losses)) or None,
         warnings=(*source.warnings, *frames.warnings),
         annotations=_FILES[options.write],
         ingested_at=datetime.now(UTC),

@@ -11,12 +11,13 @@ import glob
 import os
 import stat
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from inspect_pipeline.errors import InboxError, RecordingError
-from inspect_pipeline.recording.split import find_parts, whole_of
+from inspect_pipeline.errors import InboxError
+from inspect_pipeline.recording.split import is_recording_name, listed_parts, whole_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -29,7 +30,7 @@ _CUT_OFF_AFTER_S = 3600.0  # a recorder that is silent for so long has died
 class Candidate:
     """A recording of the inbox as it was found: path absolute, size in bytes, mtime in ns since 1970.
 
-    Of a split one, path is its folder, size that of all parts, and mtime that of the last.
+    Of a split one, path is its folder, size that of all parts there are, and mtime that of the last.
     """
 
     path: Path
@@ -39,10 +40,13 @@ class Candidate:
 
     @classmethod
     def at(cls, path: Path) -> Candidate | None:
-        """The recording at a path, None where there is no file (any more), or not all parts of it."""
+        """The recording at a path, None where there is no file (any more)."""
+        found = []
         try:
-            found = [part.stat() for part in _files_of(path)]
-        except (OSError, RecordingError):
+            for part in _files_of(path):
+                with suppress(FileNotFoundError):
+                    found.append(part.stat())
+        except OSError:
             return None
         if not found or not all(stat.S_ISREG(each.st_mode) for each in found):
             return None
@@ -52,8 +56,8 @@ class Candidate:
     def is_written(self, settle_s: float) -> bool:
         """Whether nobody writes it any more: it has rested for `settle_s`, and ends as a recording does.
 
-        Rest counts from the mtime or, for clocks that disagree, from when it was found. One without an end is
-        given an hour; after that it is cut off, which the reader has words for.
+        Rest counts from the mtime or, for clocks that disagree, from when it was found. One without an end,
+        or with a part missing, is given an hour; after that the reader says what it lacks.
         """
         if Candidate.at(self.path) != self:
             return False
@@ -110,7 +114,7 @@ def _paths_of(
             found = Path(match)
             is_folder = found.is_dir() and not found.is_symlink()
             below = _walk(found, without, unreadable) if is_folder else [found]
-            yield from ((whole_of(each), root) for each in below if _is_recording(each.name))
+            yield from ((whole_of(each), root) for each in below if is_recording_name(each.name))
     else:
         raise InboxError(
             path, "there is no such folder or file", "check the name, and that its disk is mounted"
@@ -126,33 +130,36 @@ def _check_readable(folder: Path) -> None:
 
 
 def _walk(folder: Path, without: Path | None, unreadable: dict[Path, None]) -> Iterator[Path]:
-    """The recordings below a folder; linked folders are not entered, and `unreadable` ones noted."""
+    """The recordings below a folder; linked and hidden folders (.Trash-1000) are not entered.
+
+    Folders that may not be read are added to `unreadable`.
+    """
 
     def note(error: OSError) -> None:
         if not isinstance(error, FileNotFoundError):  # it is gone meanwhile
             unreadable[Path(error.filename)] = None
 
     for parent, names, files in os.walk(folder, onerror=note):
-        names[:] = sorted(name for name in names if Path(parent, name) != without)
-        yield from (Path(parent, name) for name in files if _is_recording(name))
+        names[:] = sorted(name for name in names if Path(parent, name) != without and not _is_hidden(name))
+        yield from (Path(parent, name) for name in files if is_recording_name(name))
 
 
 def _files_of(path: Path) -> list[Path]:
-    """The files of a recording: itself, or its parts. Raises OSError, RecordingError when one is absent."""
-    return find_parts(path) if path.is_dir() and (path / "metadata.yaml").is_file() else [path]
+    """The files of a recording: itself, or its parts, which may be missing. Raises OSError."""
+    return listed_parts(path) if path.is_dir() and (path / "metadata.yaml").is_file() else [path]
 
 
 def _leads_out(path: Path, root: str) -> bool:
     """Whether a recording, or a part of it, is a link to somewhere that is not below `root`, a real path."""
     try:
         files = {path, *_files_of(path)}
-    except (OSError, RecordingError):
+    except OSError:
         files = {path}
     return not all(Path(os.path.realpath(file)).is_relative_to(root) for file in files)
 
 
-def _is_recording(name: str) -> bool:
-    return name.lower().endswith(".mcap")
+def _is_hidden(folder_name: str) -> bool:
+    return folder_name.startswith(".") or folder_name == "$RECYCLE.BIN"
 
 
 def _fixed_part(pattern: Path) -> Path:

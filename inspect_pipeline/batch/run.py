@@ -211,7 +211,8 @@ class _Batch:
 
     def _count(self, candidate: Candidate, result: ProcessResult) -> None:
         is_copy = result.annotated == candidate.path
-        self._cache.add(candidate, ANNOTATED_COPY if is_copy else result.flight_id)
+        if result.flight_id:  # one without images is opened again by the next run
+            self._cache.add(candidate, ANNOTATED_COPY if is_copy else result.flight_id)
         self._quarantine.remove(str(candidate.path))
         if result.status == "skipped":
             self._counts = self._counts.plus(n_skipped=1)
@@ -232,6 +233,8 @@ class _Batch:
             n_segments=result.n_segments,
             duration_s=result.seconds,
         )
+        if not result.flight_id:
+            self._report("recording without images skipped", path=str(candidate.path), reason=result.reason)
         if result.reason and result.status == "recovered":
             self._report("recording damaged", path=str(candidate.path), reason=result.reason)
         for warning in result.warnings:

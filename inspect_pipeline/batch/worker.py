@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from inspect_pipeline.errors import DetectorError, RecordingError, StoreError, TerrainError
+from inspect_pipeline.errors import DetectorError, NoImagesError, RecordingError, StoreError, TerrainError
+from inspect_pipeline.store.records import ProcessResult
 from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from inspect_pipeline.config import ProcessOptions
-    from inspect_pipeline.store.records import ProcessResult, RunRecord
+    from inspect_pipeline.store.records import RunRecord
     from lsnet import Detector
 
 _PR_SET_PDEATHSIG = 1
@@ -96,11 +97,16 @@ class Service:
     def process(
         self, path: Path, run: RunRecord
     ) -> ProcessResult | WorkerFailure | StoreError | TerrainError:
-        """What became of a recording; a store or a terrain model that cannot be used is not its fault."""
+        """Process a recording; errors about the store or the terrain model are returned as they are.
+
+        A recording of telemetry only is skipped: its result has no flight_id.
+        """
         try:
             return self._process(path, self._store, self._detector, self._options, run)
         except (StoreError, TerrainError) as error:
             return error
+        except NoImagesError as error:
+            return ProcessResult("", str(path), "skipped", None, 0, 0, 0, 0.0, reason=error.problem)
         except RecordingError as error:
             return WorkerFailure("unreadable", str(error))
         except Exception:  # whatever it is, it must not take the other recordings along

@@ -23,6 +23,7 @@ _LINES = {
     "recording done": "{path}: {status}, {n_frames} frames, {n_segments} segments, {duration_s:.1f} s",
     "recording damaged": "{path}: damaged: {reason}",
     "recording odd": "{path}: {warning}",
+    "recording without images skipped": "{path}: skipped: {reason}",
     "recording quarantined": "{path}: in quarantine after attempt {attempts}, {reason}: {detail}",
     "recording changed while it was read": "{path}: changed while it was read, left for the next run",
     "recording still being written": "{path}: still being written, left for the next run",

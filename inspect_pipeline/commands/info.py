@@ -85,7 +85,7 @@ def _intention(recording: Recording) -> str:
         return "nothing: this is an annotated copy"
     if not recording.camera_channels:
         return "nothing: there is no camera topic"
-    return ", ".join(camera.topic for camera in recording.camera_channels)
+    return ", ".join(dict.fromkeys(camera.topic for camera in recording.camera_channels))
 
 
 def _to_utc(time_ns: int) -> str:

@@ -74,17 +74,21 @@ _RAW = {
 
 
 def refusal(message: ImageMessage, topic: str) -> str | None:
-    """Why the images of a topic are not processed, by one of them; None when they are pictures."""
-    encoding = message.encoding
-    if message.raw is None:
-        if "compresseddepth" in encoding.lower() or topic.endswith("/compressedDepth"):
-            return "it holds distances"
-        return (
-            "it holds video, which needs the extra 'video'" if message.is_video and not can_decode() else None
-        )
-    if encoding == "32FC1" or (encoding in {"16UC1", "mono16"} and "depth" in topic.lower()):
+    """Say why the images of a topic are not processed, by one of them; None when they are pictures."""
+    if _is_depth(message.encoding, topic):
         return "it holds distances"
-    return None if encoding in _RAW else f"its pixel encoding {encoding!r} is not known"
+    if message.raw is None:
+        needs_video = message.is_video and not can_decode()
+        return "it holds video, which needs the extra 'video'" if needs_video else None
+    return None if message.encoding in _RAW else f"its pixel encoding {message.encoding!r} is not known"
+
+
+def _is_depth(encoding: str, topic: str) -> bool:
+    """Whether an image holds distances: "16UC1" or "16UC1; png compressed" on a depth topic."""
+    pixels = encoding.split(";", maxsplit=1)[0].strip()
+    if "compresseddepth" in encoding.lower() or topic.endswith("/compressedDepth") or pixels == "32FC1":
+        return True
+    return pixels in {"16UC1", "mono16"} and "depth" in topic.lower()
 
 
 def decode(message: ImageMessage) -> ImageArray:

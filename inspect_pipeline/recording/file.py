@@ -189,23 +189,40 @@ def read_extent(file: RecordingFile, extent: Extent) -> bytes:
 def _decompress(compression: str, data: bytes, size_bytes: int) -> bytes:
     if size_bytes == 0:
         return b""
+    kind = compression.lower()
+    if kind not in {"", "zstd", "lz4"}:
+        raise Damage(f"a chunk is compressed with {compression!r}, not none, lz4 or zstd")
     try:
-        if compression == "":
-            records = data
-        elif compression == "zstd":
-            # The frame's own size wins over max_output_size, so it is compared before memory is taken.
-            if zstandard.frame_content_size(data) not in (-1, size_bytes):
-                raise Damage("a chunk has another size than it says")
-            records = zstandard.ZstdDecompressor().decompress(data, max_output_size=size_bytes)
-        elif compression == "lz4":
-            records = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size_bytes)
-        else:
-            raise Damage(f"a chunk is compressed with {compression!r}, not none, lz4 or zstd")
+        records = data if not kind else (_from_zstd if kind == "zstd" else _from_lz4)(data, size_bytes)
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise Damage(f"a chunk cannot be decompressed with {compression}") from error
     if len(records) != size_bytes:
         raise Damage("a chunk has another size than it says")
     return records
+
+
+def _from_zstd(data: bytes, size_bytes: int) -> bytes:
+    """Decompress the first `size_bytes` of one or several frames."""
+    decompressor = zstandard.ZstdDecompressor()
+    # The frame's own size wins over max_output_size, so it is compared before memory is taken.
+    if zstandard.frame_content_size(data) in (-1, size_bytes):
+        return decompressor.decompress(data, max_output_size=size_bytes)
+    if zstandard.frame_content_size(data) > size_bytes:
+        return b""
+    with decompressor.stream_reader(data, read_across_frames=True) as reader:
+        return reader.read(size_bytes)
+
+
+def _from_lz4(data: bytes, size_bytes: int) -> bytes:
+    """Decompress the first `size_bytes` of one or several frames."""
+    records = bytearray()
+    while data and len(records) < size_bytes:
+        frame = lz4.frame.LZ4FrameDecompressor()
+        records += frame.decompress(data, max_length=size_bytes - len(records))
+        if not frame.eof:
+            break
+        data = frame.unused_data or b""
+    return bytes(records)
 
 
 def iter_records(records: bytes) -> Iterator[tuple[int, int, int]]:

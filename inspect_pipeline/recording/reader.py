@@ -18,7 +18,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.errors import NoImagesError, RecordingError
 from inspect_pipeline.recording.cameras import find_cameras, is_image, to_camera
 from inspect_pipeline.recording.file import reading
 from inspect_pipeline.recording.merge import PartExtent
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording.types import CameraChannel, ChannelSummary
 
 _DIGEST_BYTES = 1 << 20
+_MAX_PHRASES = 10  # of a message
 _PLAUSIBLE_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100
 _WRONG_UNITS = {"seconds": 1, "milliseconds": 10**3, "microseconds": 10**6}
 _YEAR_NS = 365 * 86_400 * 10**9
@@ -148,8 +149,7 @@ class Recording:
         """Return the cameras of `topics`, or all colour cameras. Raises RecordingError when there is none."""
         if topics is None:
             if not self.camera_channels:
-                where = " in the part that can be read" if self.losses else ""
-                raise RecordingError(self.path, f"no camera topic{where}", self._explain_no_camera())
+                raise self._no_camera()
             return self.camera_channels
         images_by_topic = {c.topic: c for c in self.channels if is_image(c)}
         for topic in topics:
@@ -158,14 +158,16 @@ class Recording:
                 raise RecordingError(self.path, f"no images on topic {topic}", f"its image topics: {known}")
         return tuple(to_camera(c) for c in self.channels if c.topic in topics and is_image(c))
 
-    def _explain_no_camera(self) -> str:
-        """Say what was lost, why topics of images were refused, or else which topics there are."""
-        if self.losses:
-            return "; ".join(self.losses)
-        if self.refusals:
-            return "; ".join(f"{topic}: {reason}" for topic, reason in self.refusals.items())
-        topics = [channel.topic for channel in self.channels[:5]]
-        return f"its topics: {', '.join(topics) or 'none'}"
+    def _no_camera(self) -> RecordingError:
+        """Say what was lost and why topics of images were refused, or else which topics there are."""
+        reasons = [*self.losses, *(f"{topic}: {reason}" for topic, reason in self.refusals.items())]
+        if reasons:
+            where = " in the part that can be read" if self.losses else ""
+            return RecordingError(self.path, f"no camera topic{where}", join_phrases(reasons))
+        topics = [channel.topic for channel in self.channels]
+        return NoImagesError(
+            self.path, "no camera topic", f"its topics: {join_phrases(topics, ', ') or 'none'}"
+        )
 
     def definition(self, channel_id: int) -> tuple[Channel, Schema | None]:
         """Return the Channel and Schema records of a channel, with the ids they have in their part."""
@@ -256,6 +258,13 @@ def files_of(path: Path) -> list[Path]:
             path, "the folder has no recording", f"make one of photographs: lsnet-pipe pack {path} FILE"
         )
     return paths
+
+
+def join_phrases(phrases: Sequence[str], separator: str = "; ") -> str:
+    """Join the first few phrases, and say how many there are beside."""
+    shown = separator.join(phrases[:_MAX_PHRASES])
+    n_more = len(phrases) - _MAX_PHRASES
+    return f"{shown}{separator}and {n_more:,} more" if n_more > 0 else shown
 
 
 def _name_part(parts: Sequence[Part], part: Part, text: str) -> str:

@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING
 from fakes import FakeDetector
 
 from inspect_pipeline.batch.executor import Outcome
-from inspect_pipeline.batch.worker import WorkerFailure
-from inspect_pipeline.errors import DetectorError, RecordingError
-from inspect_pipeline.pipeline import process
-from inspect_pipeline.store.store import Store
+from inspect_pipeline.batch.worker import Service
+from inspect_pipeline.errors import DetectorError, StoreError, TerrainError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.batch.inbox import Candidate
     from inspect_pipeline.batch.worker import Job
-    from inspect_pipeline.store.records import ProcessResult, RunRecord
+    from inspect_pipeline.store.records import RunRecord
     from lsnet import Detections
 
 LIGHT = Path(__file__).with_name("light")  # in front of sys.path, for processes that need no network
@@ -105,12 +103,8 @@ class InlineExecutor:
                 return
             yield Outcome(candidate, 1, 0.1, self._attempt(candidate.path, run))
 
-    def _attempt(self, path: Path, run: RunRecord) -> ProcessResult | WorkerFailure:
-        try:
-            return process(
-                path, Store(self._job.store_root), self._job.make_detector(), self._job.options, run
-            )
-        except RecordingError as error:
-            return WorkerFailure("unreadable", str(error))
-        except RuntimeError as error:
-            return WorkerFailure("error", str(error))
+    def _attempt(self, path: Path, run: RunRecord) -> Any:
+        result = Service(self._job).process(path, run)
+        if isinstance(result, (StoreError, TerrainError)):
+            raise result
+        return result

@@ -96,7 +96,10 @@ def bag(folder: Path, *parts: str) -> Path:
 def test_a_split_rosbag2_is_one_recording(inbox: Path, tmp_path: Path) -> None:
     folder = bag(inbox / "bag", "b_0.mcap", "bag/b_1.mcap")
     add(folder / "b_0.mcap", age_s=900)
-    assert found(inbox) == []  # a part of it is still to come
+    assert found(inbox) == [folder]
+    assert not Candidate.at(folder).is_written(10)  # a part of it is still to come
+    os.utime(folder / "b_0.mcap", (0, 0))
+    assert Candidate.at(folder).is_written(10)  # or is lost, which the reader reports
     add(folder / "b_1.mcap", WHOLE * 3)
     expected = [folder]
     assert found(inbox) == found(folder) == found(f"{inbox}/*") == found(f"{inbox}/*/*.mcap") == expected
@@ -115,6 +118,15 @@ def test_a_split_rosbag2_is_one_recording(inbox: Path, tmp_path: Path) -> None:
     one = bag(inbox / "one", "o_0.mcap")
     whole = add(one / "o_0.mcap")
     assert found(one) == [whole]
+
+
+def test_what_systems_leave_beside_recordings_is_none(inbox: Path) -> None:
+    whole = add(inbox / "a.mcap")
+    add(inbox / "._a.mcap", b"\0\5\26\7")  # macOS
+    for name in (".Trash-1000", ".Trashes", "$RECYCLE.BIN"):
+        (inbox / name).mkdir()
+        add(inbox / name / "old.mcap")
+    assert found(inbox) == found(f"{inbox}/*.mcap") == [whole]
 
 
 def test_links_out_of_the_inbox_are_left_alone(inbox: Path, tmp_path: Path) -> None:

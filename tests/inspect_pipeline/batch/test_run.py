@@ -127,6 +127,29 @@ def test_refused_recordings_go_to_quarantine_and_stay_in_place(night: Night) -> 
     assert (again.exit_code, night.counts(again)) == (3, {"found": 3, "skipped": 1, "in_quarantine": 2})
 
 
+def test_a_recording_of_telemetry_is_skipped(night: Night) -> None:
+    night.add("telemetry")
+    for _ in range(2):
+        summary = night.run()
+        assert (summary.exit_code, night.counts(summary)) == (0, {"found": 1, "skipped": 1})
+        (fields,) = [fields for event, fields in night.events if event == "recording without images skipped"]
+        assert fields == {"path": str(night.inbox / "telemetry.mcap"), "reason": "no camera topic"}
+
+
+def test_a_split_recording_with_a_missing_part_goes_to_quarantine(night: Night) -> None:
+    bag = night.inbox / "bag"
+    bag.mkdir()
+    night.add("bag/b_0", 1)
+    (bag / "metadata.yaml").write_text("relative_file_paths:\n  - b_0.mcap\n  - b_1.mcap\n")
+    summary = night.run()  # the part may be on its way
+    assert (summary.exit_code, night.counts(summary)) == (0, {"found": 1, "waiting": 1})
+    os.utime(bag / "b_0.mcap", (0, 0))
+    summary = night.run()
+    assert (summary.exit_code, night.counts(summary)) == (3, {"found": 1, "quarantined": 1})
+    (note,) = Quarantine(night.store).notes()
+    assert "b_1.mcap: metadata.yaml lists it but it is absent" in note.detail
+
+
 def test_a_late_recording_is_given_up(real_night: Night) -> None:
     real_night.add("late", HANG)
     summary = real_night.run(timeout_s=1.0, max_attempts=1)

@@ -28,6 +28,7 @@ from inspect_pipeline.georeference.poses import read_poses
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.append import annotated_copy
+from inspect_pipeline.recording.file import read_extent
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.recording.summary import MAGIC
@@ -291,3 +292,31 @@ def test_a_chunk_of_nothing_but_zeros_is_damage(tmp_path: Path, compression: str
     data = compressed_zeros(compression, 1 << 20)
     recording = open_recording(bomb(tmp_path, compression, 1 << 20, data))
     assert "a chunk ends inside a record" in recording.losses[-1]
+
+
+def whole_chunk(tmp_path: Path) -> bytes:
+    """The records of a chunk with the pictures 0 to 4 and their channel."""
+    path = make_recording(tmp_path / "whole.mcap", shots(5), chunk_size=1 << 20, n_gps_per_shot=0)
+    part = open_recording(path).parts[0]
+    with part.open() as file:
+        return read_extent(file, part.layout.extents[0])
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "ZSTD"])
+def test_a_chunk_of_several_compressed_frames(tmp_path: Path, compression: str) -> None:
+    records = whole_chunk(tmp_path)
+    compress = lz4.frame.compress if compression == "lz4" else zstandard.compress
+    frames = b"".join(compress(part) for part in (records[:100], records[100:300], records[300:]))
+    recording = open_recording(bomb(tmp_path, compression, len(records), frames))
+    assert [factories.number_of(frame.image) for frame in iter_frames(recording)] == list(range(5))
+
+
+@pytest.mark.parametrize(
+    ("compression", "reason"),
+    [("lzma", "a chunk is compressed with 'lzma', not none, lz4 or zstd"), ("", "a chunk has another size")],
+)
+def test_why_nothing_can_be_read_is_in_the_error(tmp_path: Path, compression: str, reason: str) -> None:
+    records = whole_chunk(tmp_path)
+    recording = open_recording(bomb(tmp_path, compression, len(records), records[1:]))
+    with pytest.raises(RecordingError, match="no camera topic in the part that can be read; .*" + reason):
+        recording.select_cameras()

@@ -1,1 +1,1 @@
-"""Geometry of cameras and the ground: attitudes, rays, local frames, terrain."""
+"""Geometry of cameras and the ground: attitudes, pixel rays, the local frame, terrain."""

@@ -1,7 +1,6 @@
-"""From pixels to places: the ray of a pixel, and where it meets the ground.
+"""Pinhole cameras: their axes in the world, the ray of a pixel, the pixel of a point.
 
-Flat earth about the camera; directions are (east, north, up). How far off the results are, by what is not
-known exactly: docs/inspection.md, Places.
+World directions are (east, north, up). Where rays meet the ground: `terrain`.
 """
 
 from __future__ import annotations
@@ -11,24 +10,18 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import pyproj
 
-from inspect_pipeline.geometry import local_frame as projection
-from inspect_pipeline.geometry.attitude import YawPitchRoll
+from inspect_pipeline.geometry.attitude import YawPitchRoll, to_rotation, to_turns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import ArrayLike
 
-    from inspect_pipeline.arrays import Floats
+    from inspect_pipeline.arrays import Floats, Ints, Mask
 
 
-# Models whose coefficients OpenCV knows in this order, and how many it takes.
+# Distortion models whose coefficients OpenCV takes in this order, and the numbers of coefficients it accepts.
 _UNDISTORTED, _N_COEFFICIENTS = frozenset({"plumb_bob", "rational_polynomial"}), frozenset({4, 5, 8, 12, 14})
-_UPRIGHT = 1e-6
-_FARTHEST_M, _MARCH_M = 1000.0, 2.0  # how far rays are followed over terrain, and by which steps
-_EARTH = pyproj.Geod(ellps="WGS84")
+_DOWN = to_rotation((0.0, -90.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +44,14 @@ class Intrinsics:
 
 
 def lens_of_view(image_size: tuple[int, int], view_deg: float) -> Intrinsics:
-    """A lens without distortion whose view is `view_deg` from left to right of (height, width)."""
+    """Return an undistorted lens with a horizontal field of view, for images of (height, width)."""
     height, width = image_size
     focal_px = float(width / 2 / np.tan(np.radians(view_deg) / 2))
     return Intrinsics(image_size, (focal_px, focal_px), (width / 2, height / 2), "", ())
 
 
 def resized(lens: Intrinsics, image_size: tuple[int, int]) -> Intrinsics:
-    """The lens of the same picture at another (height, width)."""
+    """Return the lens of the same picture scaled to (height, width)."""
     sy, sx = (now / then for now, then in zip(image_size, lens.image_size, strict=True))
     (fx, fy), (cx, cy) = lens.focal_px, lens.centre_px
     return Intrinsics(
@@ -66,31 +59,25 @@ def resized(lens: Intrinsics, image_size: tuple[int, int]) -> Intrinsics:
     )
 
 
-def camera_axes(turns: YawPitchRoll) -> Floats:
-    """(3, 3): right, down and ahead of a camera, each as east, north, up."""
-    axes: Floats = projection.camera_axes(*(np.array([turn]) for turn in turns))[0]
+def camera_axes(turns_deg: ArrayLike) -> Floats:
+    """Return the camera's right, down and ahead as unit vectors (east, north, up).
+
+    Args:
+        turns_deg: (..., 3) yaw, pitch and roll, as in `YawPitchRoll`.
+
+    Returns:
+        (..., 3, 3); NaN where a turn is NaN.
+    """
+    body_to_ned = to_rotation(turns_deg).as_matrix()  # columns: forward, right, down
+    axes: Floats = np.swapaxes(body_to_ned, -1, -2)[..., [1, 2, 0], :][..., [1, 0, 2]] * (1.0, 1.0, -1.0)
     return axes
 
 
-def moved(lat_deg: float, lon_deg: float, east_m: float, north_m: float) -> tuple[float, float]:
-    """The latitude and longitude so many metres away."""
-    lats_deg, lons_deg = moved_all(lat_deg, lon_deg, np.array([east_m]), np.array([north_m]))
-    return float(lats_deg[0]), float(lons_deg[0])
-
-
-def moved_all(lat_deg: float, lon_deg: float, east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:
-    """The latitudes (N,) and longitudes (N,) so many metres (N,) away from one place."""
-    azimuth_deg, distance_m = np.degrees(np.arctan2(east_m, north_m)), np.hypot(east_m, north_m)
-    here = np.full(len(east_m), lon_deg), np.full(len(east_m), lat_deg)
-    there_lon_deg, there_lat_deg, _ = _EARTH.fwd(*here, azimuth_deg, distance_m)
-    return np.asarray(there_lat_deg, np.float64), np.asarray(there_lon_deg, np.float64)
-
-
 def pixel_rays(lens: Intrinsics, turns: YawPitchRoll, pixels: ArrayLike) -> Floats:
-    """(N, 3) unit vectors, east, north, up, of (N, 2) pixels of a camera that is turned so in the world.
+    """Return the (N, 3) unit vectors (east, north, up) along which (N, 2) pixels look.
 
-    Lens distortion is undone for "plumb_bob" and "rational_polynomial" with as many coefficients as they may
-    have, and otherwise taken for none.
+    Distortion is undone for the models "plumb_bob" and "rational_polynomial" with a number of coefficients
+    that OpenCV knows; other lenses are treated as undistorted.
     """
     centred = (np.asarray(pixels, np.float64).reshape(-1, 2) - lens.centre_px) / lens.focal_px
     is_known = lens.distortion_model in _UNDISTORTED and len(lens.distortion) in _N_COEFFICIENTS
@@ -102,47 +89,43 @@ def pixel_rays(lens: Intrinsics, turns: YawPitchRoll, pixels: ArrayLike) -> Floa
     return rays
 
 
-def meet_ground(rays: Floats, height_m: float) -> Floats:
-    """(N, 3) metres east, north and up from the camera to where rays meet flat ground `height_m` below it.
-
-    NaN for rays that do not go down.
-    """
-    down = -rays[:, 2]
-    distance_m = np.full(len(rays), np.nan)
-    np.divide(height_m, down, out=distance_m, where=down > 1e-9)
-    met: Floats = rays * distance_m[:, np.newaxis]
-    return met
-
-
-def meet_terrain(ray: Floats, height_m: float, rise_m: Callable[[Floats, Floats], Floats]) -> Floats:
-    """(3,) metres east, north and up from the camera to where a ray meets ground that rises and falls.
-
-    rise_m: metres that the ground at places (N,) east and (N,) north of the camera lies above the ground
-    below the camera, which is `height_m` lower. NaN where it is not known, or not met within a kilometre.
-    """
-    steps_m = np.arange(0.0, _FARTHEST_M + _MARCH_M, _MARCH_M)
-    east, north, up = ray[:, np.newaxis] * steps_m
-    above_m = up + height_m - rise_m(east, north)
-    first = int(np.argmax(~(above_m > 0)))  # NaN stops it too
-    if first == 0 or not np.isfinite(above_m[first]):
-        return np.full(3, np.nan)
-    share = above_m[first - 1] / (above_m[first - 1] - above_m[first])
-    met: Floats = ray * (steps_m[first - 1] + share * _MARCH_M)
-    return met
-
-
 def turned_down(vehicle: YawPitchRoll) -> YawPitchRoll:
-    """How a camera is turned that looks straight down out of a vehicle, the top of its image ahead."""
-    right, down, ahead = camera_axes(vehicle)
-    return _turns(np.stack((right, -ahead, down)))
+    """Return the turns of a camera fixed to look straight down, the top of its image towards the nose."""
+    return YawPitchRoll(*to_turns(to_rotation(vehicle) * _DOWN).tolist())
 
 
-def _turns(axes: Floats) -> YawPitchRoll:
-    """The turns of which `camera_axes` makes (3, 3) axes."""
-    right, down, ahead = axes
-    pitch_rad = np.arcsin(np.clip(ahead[2], -1, 1))
-    if np.hypot(ahead[0], ahead[1]) < _UPRIGHT:  # yaw and roll turn about one axis: all of it is yaw
-        yaw_rad, roll_rad = np.arctan2(-right[1], right[0]), 0.0
-    else:
-        yaw_rad, roll_rad = np.arctan2(ahead[0], ahead[1]), np.arctan2(-right[2], -down[2])
-    return YawPitchRoll(*(float(np.degrees(turn)) for turn in (yaw_rad, pitch_rad, roll_rad)))
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraPoses:
+    """Pinhole cameras of N frames, with the optical axis through the middle of the image.
+
+    positions (N, 3) in m; axes (N, 3, 3) are right, down and ahead; focal_px (N,); sizes (N, 2) are
+    (width, height). NaN where the pose is unknown.
+    """
+
+    positions: Floats
+    axes: Floats
+    focal_px: Floats
+    sizes: Floats
+
+    def __getitem__(self, frames: Ints | Mask | slice) -> CameraPoses:
+        return CameraPoses(
+            self.positions[frames], self.axes[frames], self.focal_px[frames], self.sizes[frames]
+        )
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the pixels (N, P, 2) and depths (N, P) in m of points (P, 3).
+
+        The pixels of points behind a camera (depth below 0) are meaningless.
+        """
+        away = points[np.newaxis] - self.positions[:, np.newaxis]
+        seen = np.einsum("nij,npj->npi", self.axes, away)
+        depths = seen[..., 2]
+        scale = self.focal_px[:, np.newaxis] / np.where(np.abs(depths) < 1e-9, 1e-9, depths)
+        return seen[..., :2] * scale[..., np.newaxis] + self.sizes[:, np.newaxis] / 2, depths
+
+    def rays(self, frames: Ints, pixels: Floats) -> Floats:
+        """Return the directions (P, 3), of depth 1, of pixels (P, 2) in the frames (P,)."""
+        offsets = (pixels - self.sizes[frames] / 2) / self.focal_px[frames, np.newaxis]
+        ahead = np.column_stack((offsets, np.ones(len(pixels))))
+        rays: Floats = np.einsum("pij,pi->pj", self.axes[frames], ahead)
+        return rays

@@ -12,17 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.geometry.attitude import YawPitchRoll
-from inspect_pipeline.geometry.camera import (
-    lens_of_view,
-    meet_ground,
-    meet_terrain,
-    moved,
-    moved_all,
-    pixel_rays,
-    resized,
-    turned_down,
-)
-from inspect_pipeline.geometry.terrain import load_elevation
+from inspect_pipeline.geometry.camera import lens_of_view, pixel_rays, resized, turned_down
+from inspect_pipeline.geometry.local_frame import LocalMetres
+from inspect_pipeline.geometry.terrain import load_elevation, meet_ground, meet_terrain
 from inspect_pipeline.georeference.calibration import read_intrinsics
 from inspect_pipeline.georeference.poses import read_poses
 
@@ -153,7 +145,11 @@ class Georeferencer:
             met: Floats = meet_ground(ray[np.newaxis], height_m)[0]
             return met
         return meet_terrain(
-            ray, height_m, lambda east, north: _rise_m(terrain, here, *moved_all(*here, east, north))
+            ray,
+            height_m,
+            lambda east, north: _rise_m(
+                terrain, here, *LocalMetres(*here).to_degrees(np.stack((east, north), axis=-1))
+            ),
         )
 
     def _sight(
@@ -168,8 +164,8 @@ class Georeferencer:
         met = self._meet_ground(here, height_m, pixel_rays(lens, turns, (width / 2, height / 2))[0])
         if np.isnan(met).any():
             return None
-        east_m, north_m, _ = met.tolist()
-        return _Sight(*moved(*here, east_m, north_m), float(np.linalg.norm(met)))
+        lat_deg, lon_deg = LocalMetres(*here).to_degrees(met[:2])
+        return _Sight(float(lat_deg), float(lon_deg), float(np.linalg.norm(met)))
 
 
 def _rise_m(terrain: Elevation, begin: tuple[float, float], lat_deg: ArrayLike, lon_deg: ArrayLike) -> Floats:

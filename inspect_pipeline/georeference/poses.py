@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.geometry.attitude import Attitude, Position, wrapped_deg
+from inspect_pipeline.geometry.attitude import Attitude, Position, from_quaternions, to_turns, wrapped_deg
 from inspect_pipeline.messages.errors import MALFORMED
 from inspect_pipeline.messages.pose import parser_for
 from inspect_pipeline.recording.frames import iter_channel_messages
@@ -122,7 +122,7 @@ class PoseTrack:
             if not is_yaw_relative:
                 return PoseSample([yaw_deg, pitch_deg, roll_deg], camera.age_ms), "camera"
             if vehicle:
-                yaw_deg = wrapped_deg(vehicle.values[0] + yaw_deg)
+                yaw_deg = float(wrapped_deg(vehicle.values[0] + yaw_deg))
                 age_ms = max(camera.age_ms, vehicle.age_ms)
                 return PoseSample([yaw_deg, pitch_deg, roll_deg], age_ms), "camera"
         return vehicle, "vehicle" if vehicle else None
@@ -139,8 +139,8 @@ def read_poses(recording: Recording) -> PoseTrack:
     kinds = _read_kinds(messages, parsers)
     return PoseTrack(
         positions=_longest(kinds["position"]),
-        vehicle=_longest(kinds["vehicle"]),
-        camera=_longest(kinds["camera"]),
+        vehicle=_to_turns(_longest(kinds["vehicle"])),
+        camera=_to_turns(_longest(kinds["camera"]), with_yaw_frame=True),
         heights=_longest(kinds["height"]),
         losses=messages.losses,
     )
@@ -195,10 +195,8 @@ def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict
         if isinstance(found, Position):
             kinds["position"][channel_id].append(time_ns, *found)
         elif isinstance(found, Attitude):
-            if found.is_camera:
-                kinds["camera"][channel_id].append(time_ns, *found.turns, found.is_yaw_relative)
-            else:
-                kinds["vehicle"][channel_id].append(time_ns, *found.turns)
+            kind = "camera" if found.is_camera else "vehicle"
+            kinds[kind][channel_id].append(time_ns, *found.rotation, found.is_ned, found.is_yaw_relative)
             if found.height_m is not None:
                 kinds["height"][channel_id].append(time_ns, found.height_m)
     return kinds
@@ -207,3 +205,19 @@ def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict
 def _longest(rows_by_channel: _RowsByChannel) -> PoseSamples:
     """The samples of the channel with most of them: two receivers in turn would jump to and fro."""
     return max(rows_by_channel.values(), key=len, default=_Rows()).to_samples()
+
+
+def _to_turns(quaternions: PoseSamples, *, with_yaw_frame: bool = False) -> PoseSamples:
+    """Turn the columns w, x, y, z, is_ned, is_yaw_relative into yaw_deg, pitch_deg, roll_deg.
+
+    with_yaw_frame: keep is_yaw_relative as the fourth column.
+    """
+    if not len(quaternions.times_ns):
+        return quaternions
+    is_ned, is_yaw_relative = quaternions.values[:, 4] > 0, quaternions.values[:, 5:]
+    turns = np.empty((len(is_ned), 3))
+    for convention in (False, True):
+        chosen = is_ned == convention
+        if chosen.any():
+            turns[chosen] = to_turns(from_quaternions(quaternions.values[chosen, :4], is_ned=convention))
+    return PoseSamples(quaternions.times_ns, np.hstack((turns, is_yaw_relative)) if with_yaw_frame else turns)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres, camera_axes
+from inspect_pipeline.geometry.camera import CameraPoses, camera_axes
+from inspect_pipeline.geometry.local_frame import LocalMetres
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -195,7 +196,7 @@ def place_cameras(frames: FrameRows, origin: LocalMetres, rules: Rules) -> Camer
     positions[is_old] = np.nan
     return CameraPoses(
         positions=positions,
-        axes=camera_axes(frames.cam_yaw_deg, frames.cam_pitch_deg, frames.cam_roll_deg),
+        axes=camera_axes(np.column_stack((frames.cam_yaw_deg, frames.cam_pitch_deg, frames.cam_roll_deg))),
         focal_px=frames.focal_px.astype(np.float64),
         sizes=np.column_stack((frames.width, frames.height)).astype(np.float64),
     )

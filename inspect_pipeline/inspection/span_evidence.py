@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from inspect_pipeline.arrays import Floats, Ints, Mask
-    from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres
+    from inspect_pipeline.geometry.camera import CameraPoses
+    from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.rows import CameraRows, LineRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_view import SpanAxis, SpanView

@@ -13,7 +13,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Ints, Mask
-    from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres
+    from inspect_pipeline.geometry.camera import CameraPoses
+    from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.rows import LineRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span

@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from inspect_pipeline.geometry.attitude import Attitude, Quaternion, from_enu, position
+from inspect_pipeline.geometry.attitude import Attitude, Quaternion, position, unit_quaternion
 from inspect_pipeline.messages import px4
 from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
 from inspect_pipeline.messages.flatbuffer import FlatbufferTable
@@ -110,8 +110,8 @@ def _ros2_pose(payload: memoryview, is_camera: bool) -> Attitude | None:
 
 def _pose(frame_id: str, rotation: Quaternion, is_camera: bool, place: Sequence[float]) -> Attitude | None:
     """The attitude of whatever the topic is about, against a frame that stands still."""
-    turns = from_enu(rotation) if frame_id in _WORLDS else None
-    return turns and Attitude(turns, is_camera, height_m=_height_m(place))
+    known = unit_quaternion(*rotation) if frame_id in _WORLDS else None
+    return known and Attitude(known, is_camera, height_m=_height_m(place))
 
 
 def _height_m(place: Sequence[float]) -> float | None:
@@ -152,8 +152,8 @@ def _transform(parent: str, child: str, rotation: Quaternion, place: Sequence[fl
     """The attitude of a known body against a frame that stands still. Chains are not followed."""
     if parent not in _WORLDS or child not in _BODIES | _CAMERAS:
         return None
-    turns = from_enu(rotation)
-    return turns and Attitude(turns, is_camera=child in _CAMERAS, height_m=_height_m(place))
+    known = unit_quaternion(*rotation)
+    return known and Attitude(known, is_camera=child in _CAMERAS, height_m=_height_m(place))
 
 
 def _json_quaternion(fields: dict[str, Any]) -> Quaternion:

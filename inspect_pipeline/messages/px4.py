@@ -12,13 +12,13 @@ import re
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from inspect_pipeline.geometry.attitude import Attitude, Quaternion, from_ned, position
+from inspect_pipeline.geometry.attitude import Attitude, position, unit_quaternion
 from inspect_pipeline.messages.cdr import CdrReader
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from inspect_pipeline.geometry.attitude import Position
+    from inspect_pipeline.geometry.attitude import Position, Quaternion
 
     Fields = Mapping[str, Any]
 
@@ -101,20 +101,20 @@ def _global_position(fields: Fields) -> Position | None:
 
 
 def _vehicle_attitude(fields: Fields) -> Attitude | None:
-    turns = from_ned(_quaternion(fields))
-    return turns and Attitude(turns, is_camera=False)
+    rotation = _quaternion(fields)
+    return rotation and Attitude(rotation, is_camera=False, is_ned=True)
 
 
 def _gimbal_attitude(fields: Fields) -> Attitude | None:
-    turns = from_ned(_quaternion(fields))
+    rotation = _quaternion(fields)
     is_locked = int(fields.get("device_flags", 0)) & (_YAW_LOCK | _YAW_IN_EARTH_FRAME)
-    return turns and Attitude(turns, is_camera=True, is_yaw_relative=not is_locked)
+    return rotation and Attitude(rotation, is_camera=True, is_ned=True, is_yaw_relative=not is_locked)
 
 
-def _quaternion(fields: Fields) -> Quaternion:
+def _quaternion(fields: Fields) -> Quaternion | None:
     """The field q: w, x, y, z. pyulog spreads it over q[0] to q[3]."""
     values = fields["q"] if "q" in fields else [fields[f"q[{i}]"] for i in range(4)]
-    return Quaternion(*map(float, values))
+    return unit_quaternion(*map(float, values))
 
 
 _READERS: dict[str, Callable[[Fields], Position | Attitude | None]] = {

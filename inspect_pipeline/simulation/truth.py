@@ -14,6 +14,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyproj
 
 from inspect_pipeline.simulation.options import FaultKind
 from inspect_pipeline.simulation.plan import POSE_PERIOD_NS, START_NS, plan_flight
@@ -42,11 +43,7 @@ if TYPE_CHECKING:
 
 GROUND_M = 43.0  # ellipsoidal altitude of z = 0
 _ORIGIN_DEG = (52.09, 5.12)  # of x = y = 0
-# Of the WGS 84 ellipsoid: metres in a radian of latitude and of longitude at the origin.
-_A_M, _E2 = 6_378_137.0, 0.006_694_379_990_14
-_SIN_LAT = np.sin(np.deg2rad(_ORIGIN_DEG[0]))
-_NORTH_M = _A_M * (1 - _E2) / (1 - _E2 * _SIN_LAT**2) ** 1.5
-_EAST_M = _A_M / np.sqrt(1 - _E2 * _SIN_LAT**2) * np.cos(np.deg2rad(_ORIGIN_DEG[0]))
+_EARTH = pyproj.Geod(ellps="WGS84")
 _LINE_STEP_PX = 12.0
 _SHOWN_SHARE = {FaultKind.CROSSING_LINE: 0.1}  # of the most evidence in a frame; else half
 _STRUCK: dict[FaultKind, Quality] = {
@@ -135,10 +132,10 @@ def _quality(plan: FlightPlan, shot: Shot) -> Quality:
 def to_geodetic(plan: FlightPlan, point: Floats) -> tuple[float, float, float]:
     """Latitude, longitude and ellipsoidal altitude of x, y, z in m."""
     along, left, up = point.tolist()
-    east_m, north_m = to_east_north(plan, along, left)
-    lat_deg = _ORIGIN_DEG[0] + np.rad2deg(north_m / _NORTH_M)
-    lon_deg = _ORIGIN_DEG[1] + np.rad2deg(east_m / _EAST_M)
-    return float(lat_deg), float(lon_deg), GROUND_M + up
+    lat_deg, lon_deg = _ORIGIN_DEG
+    azimuth_deg = plan.azimuth_deg - np.rad2deg(np.arctan2(left, along))
+    there_lon_deg, there_lat_deg, _ = _EARTH.fwd(lon_deg, lat_deg, azimuth_deg, np.hypot(along, left))
+    return float(there_lat_deg), float(there_lon_deg), GROUND_M + up
 
 
 def to_east_north(plan: FlightPlan, x: float, y: float) -> tuple[float, float]:

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import OutputError
-from inspect_pipeline.geometry.attitude import YawPitchRoll, to_enu
+from inspect_pipeline.geometry.attitude import Quaternion
 from inspect_pipeline.recording.ros2_writer import Ros2Author
 from inspect_pipeline.recording.writer import new_recording
 from inspect_pipeline.simulation.ground import draw_ground, lay_photograph
@@ -173,12 +174,14 @@ def _write_location(author: Author, topic: str, plan: FlightPlan, time_ns: int) 
 
 def _write_attitudes(author: Author, topics: _Topics, plan: FlightPlan, time_ns: int) -> None:
     pose = plan.pose(time_ns)
-    vehicle = YawPitchRoll(compass_deg(plan, pose.heading_rad), 0.0, 0.0)
-    camera = YawPitchRoll(compass_deg(plan, pose.yaw_rad), -float(np.rad2deg(pose.pitch_rad)), 0.0)
     x, y, above_m = pose.position
     place_m = (*to_east_north(plan, x, y), above_m)
-    for topic, child, turns in (
-        (topics.vehicle, "base_link", vehicle),
-        (topics.camera, "camera_link", camera),
+    for topic, child, yaw_rad, down_rad in (
+        (topics.vehicle, "base_link", pose.heading_rad, 0.0),
+        (topics.camera, "camera_link", pose.yaw_rad, pose.pitch_rad),
     ):
-        author.write_attitude(topic, START_NS + time_ns, "map", child, to_enu(turns), translation_m=place_m)
+        east_yaw_rad = np.deg2rad(90 - compass_deg(plan, yaw_rad))
+        # Its own way to a quaternion in ENU: the code that reads it is judged by what is written here.
+        qx, qy, qz, qw = Rotation.from_euler("ZYX", (east_yaw_rad, down_rad, 0.0)).as_quat().tolist()
+        rotation = Quaternion(qw, qx, qy, qz)
+        author.write_attitude(topic, START_NS + time_ns, "map", child, rotation, translation_m=place_m)

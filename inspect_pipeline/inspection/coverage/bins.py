@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from inspect_pipeline.arrays import Floats, Ints, Mask
-    from inspect_pipeline.geometry.local_frame import CameraPoses, LocalMetres
+    from inspect_pipeline.geometry.camera import CameraPoses
+    from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.rows import CameraRows, FrameRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span

@@ -19,7 +19,7 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from inspect_pipeline.geometry.attitude import Quaternion, YawPitchRoll, from_enu, from_ned, to_enu
+from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.georeference.poses import Pose, PoseTrack, read_poses
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
@@ -342,23 +342,6 @@ def test_of_several_receivers_the_one_with_most_positions_counts(tmp_path: Path)
 def test_a_recording_without_poses_has_none(tmp_path: Path) -> None:
     recording = open_recording(make_recording(tmp_path / "a.mcap", shots(3)))
     assert read_poses(recording).at(recording.end_ns) is None
-
-
-@pytest.mark.parametrize("turns", [TURNS, YawPitchRoll(-179.0, 60.0, -170.0), YawPitchRoll(0.0, 0.0, 0.0)])
-def test_turns_agree_with_scipy(turns: YawPitchRoll) -> None:
-    assert from_ned(Quaternion(*ned(turns))) == pytest.approx(turns)
-    assert from_ned(Quaternion(*(1.05 * part for part in ned(turns)))) == pytest.approx(turns)
-    assert from_enu(Quaternion(*enu(turns))) == pytest.approx(turns)
-    quaternion = np.array(to_enu(turns))
-    assert abs(quaternion @ enu(turns)) == pytest.approx(1)
-
-
-@pytest.mark.parametrize("pitch_deg", [-90.0, 90.0])
-@pytest.mark.parametrize("yaw_deg", [-170.0, 0.0, 75.0])
-def test_a_camera_that_looks_straight_down_or_up_has_a_yaw(yaw_deg: float, pitch_deg: float) -> None:
-    turns = YawPitchRoll(yaw_deg, pitch_deg, 0.0)
-    assert from_ned(Quaternion(*ned(turns))) == pytest.approx(turns, abs=1e-6)
-    assert from_enu(Quaternion(*enu(turns))) == pytest.approx(turns, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["caliterra_foxglove", "brighton_ros2"])

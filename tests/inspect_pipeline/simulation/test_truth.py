@@ -226,8 +226,7 @@ def test_the_example_of_the_documentation(capsys: pytest.CaptureFixture[str]) ->
 def test_the_truth_shares_no_code_with_what_it_judges() -> None:
     program = (
         "import sys\nfrom inspect_pipeline.simulation.truth import simulate_truth\n"
-        "print([n for n in ('geometry.camera', 'geometry.local_frame', 'georeference', 'inspection',"
-        " 'tracking')"
+        "print([n for n in ('geometry', 'messages', 'georeference', 'inspection', 'tracking')"
         " if f'inspect_pipeline.{n}' in sys.modules])"
     )
     child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

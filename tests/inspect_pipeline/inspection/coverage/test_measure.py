@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from inspect_rows import FOCAL_PX, PERIOD_NS, flight, rules, span
 
-from inspect_pipeline.geometry.local_frame import CameraPoses, camera_axes
+from inspect_pipeline.geometry.camera import CameraPoses, camera_axes
 from inspect_pipeline.inspection.anomalies.find import find_anomalies
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
 from inspect_pipeline.inspection.rows import NO_TRACK, LineRows, completed_lines
@@ -105,7 +105,7 @@ def test_cameras_see_what_projects_into_their_pictures() -> None:
     angles = rng.uniform(-180, 180, (3, 300))
     cameras = CameraPoses(
         positions=rng.uniform(-150, 150, (300, 3)),
-        axes=camera_axes(*angles),
+        axes=camera_axes(np.column_stack(angles)),
         focal_px=rng.choice([100.0, 1000.0, 4000.0], 300),
         sizes=np.tile([1280.0, 720.0], (300, 1)),
     )
@@ -228,6 +228,6 @@ def test_an_empty_flight_and_one_frame() -> None:
 
 def test_axes_of_a_camera() -> None:
     """North, level: right is east, down is down. Then rolled to the right: right goes down."""
-    level, rolled = camera_axes(np.zeros(2), np.zeros(2), np.array([0.0, 90.0]))
+    level, rolled = camera_axes([(0.0, 0.0, 0.0), (0.0, 0.0, 90.0)])
     assert level == pytest.approx(np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), abs=1e-12)
     assert rolled == pytest.approx(np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]]), abs=1e-12)

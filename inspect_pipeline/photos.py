@@ -1,22 +1,22 @@
-"""Single photographs through the detector, outside any recording."""
+"""Detection in single photographs, outside any recording."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 from inspect_pipeline.errors import OutputError
-from inspect_pipeline.overlay import draw_segments, write_picture
+from inspect_pipeline.images.draw import draw_heat, draw_lines, score_colours, write_picture
 from lsnet import LSNetError
 from lsnet.evaluation.rasterize import confidence_map
 from lsnet.synth.backgrounds import load_rgb
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
     from inspect_pipeline.arrays import ImageArray
     from lsnet import Detections, Detector
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """An image file with what was found in it; image is uint8 (height, width, 3) RGB."""
+    """An image file and its detections; image is uint8 (height, width, 3) RGB."""
 
     path: Path
     image: ImageArray
     detections: Detections
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields of `detect --json`; coordinates to a hundredth of a pixel."""
+        """Return the fields of `detect --json`; coordinates are rounded to a hundredth of a pixel."""
         segments, lines = self.detections.segments, self.detections.lines
         height, width = segments.image_size
         rows = np.column_stack([segments.endpoints.round(2), segments.scores.round(4)]).astype(float)
@@ -50,7 +50,10 @@ class Photograph:
 def detect_in(
     paths: Sequence[Path], detector: Detector, batch_size: int, on_error: Callable[[str], None]
 ) -> Iterator[Photograph]:
-    """Each photograph in turn, `batch_size` of them read at a time; `on_error` hears of unreadable ones."""
+    """Yield the photographs with their detections, `batch_size` of them in memory at a time.
+
+    `on_error` is called with a line about each file that cannot be read, which is skipped.
+    """
     for first in range(0, len(paths), batch_size):
         read: list[tuple[Path, ImageArray]] = []
         for path in paths[first : first + batch_size]:
@@ -64,40 +67,54 @@ def detect_in(
 
 
 def check_outputs(paths: Sequence[Path], draw: Path | None, confidence: Path | None) -> None:
-    """Raises OutputError when pictures of one run would replace each other."""
+    """Raise OutputError when two pictures of one call would have the same name."""
     folder = draw or confidence
     if folder is None:
         return
     if draw and confidence and draw.resolve() == confidence.resolve():
         raise OutputError(folder, "overlays and maps have the same names", "name two folders")
-    named: dict[str, Path] = {}
+    named: dict[Path, Path] = {}
     for path in paths:
-        other = named.setdefault(path.stem, path)
+        other = named.setdefault(_picture_name(path, paths), path)
         if other.resolve() != path.resolve():
             raise OutputError(folder, f"{other} and {path} would have one picture", "run them apart")
 
 
-def write_overlay(photograph: Photograph, folder: Path) -> None:
-    """Write FOLDER/NAME.png with the segments drawn. Raises OutputError."""
-    picture = draw_segments(photograph.image, photograph.detections.segments.endpoints)
-    write_picture(_in_folder(folder, photograph), picture)
+def write_overlay(
+    photograph: Photograph, paths: Sequence[Path], folder: Path, *, segments: bool = False
+) -> None:
+    """Write the lines, or the raw segments, over the photograph as PNG into `folder`.
+
+    `paths` are all photographs of the call: where they come from several folders, these are kept. Raises
+    OutputError.
+    """
+    found = photograph.detections
+    if segments:
+        polylines, scores = list(found.segments.endpoints.reshape(-1, 2, 2)), found.segments.scores
+    else:
+        polylines, scores = list(found.lines.points), found.lines.scores
+    picture = draw_lines(photograph.image, polylines, score_colours(scores))
+    write_picture(_picture_path(folder, photograph, paths), picture)
 
 
-def write_map(photograph: Photograph, folder: Path) -> None:
-    """Write FOLDER/NAME.png, the paper's confidence map, 255 for a score of 1. Raises OutputError."""
-    confidence = confidence_map(photograph.detections.segments)
-    grey = np.round(confidence * 255).astype(np.uint8)
-    write_picture(
-        _in_folder(folder, photograph), np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
-    )
+def write_map(photograph: Photograph, paths: Sequence[Path], folder: Path) -> None:
+    """Write the paper's confidence map (Section IV-A) as a heat map over the photograph; else as above."""
+    picture = draw_heat(photograph.image, confidence_map(photograph.detections.segments))
+    write_picture(_picture_path(folder, photograph, paths), picture)
 
 
-def _in_folder(folder: Path, photograph: Photograph) -> Path:
+def _picture_name(path: Path, paths: Sequence[Path]) -> Path:
+    """Return the name of a photograph's picture, with its folder below the one that all `paths` share."""
+    common = Path(os.path.commonpath([each.absolute().parent for each in paths]))
+    return path.absolute().relative_to(common).with_suffix(".png")
+
+
+def _picture_path(folder: Path, photograph: Photograph, paths: Sequence[Path]) -> Path:
+    path = folder / _picture_name(photograph.path, paths)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(folder, f"cannot be made a folder ({error.strerror})", "name another") from error
-    path = folder / f"{photograph.path.stem}.png"
+        raise OutputError(path.parent, f"cannot be created ({error.strerror})", "name another") from error
     if path.exists() and path.samefile(photograph.path):
         raise OutputError(path, "would replace the photograph", "name another folder")
     return path

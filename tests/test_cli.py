@@ -441,12 +441,16 @@ def test_doctor(run: Callable[..., Outcome], tmp_path: Path) -> None:
 def test_overlay(run: Callable[..., Outcome], tmp_path: Path) -> None:
     make_recording(tmp_path / "a.mcap", shots(3))
     flight = json.loads(run("process", "a.mcap", "--json").out)["flight_id"]
-    assert "frame 2 of /camera/image/compressed, 2 segments" in run("overlay", flight[:6], "-o", "o.png").out
+    assert "frame 2 of /camera/image/compressed, 0 lines" in run("overlay", flight[:6], "-o", "o.png").out
+    assert "frame 2 of /camera/image/compressed, 2 segments" in run(
+        "overlay", flight[:6], "--segments", "-o", "o.png"
+    ).out
     assert cv2.imread("o.png").shape == (12, 16, 3)
     assert "frame 1 of" in run("overlay", flight, "--frame", 1, "-o", "o.jpg").out
     for arguments, words in (
         ((flight, "--frame", 9, "-o", "o.png"), "no decoded frame like that"),
-        (("xyz", "-o", "o.png"), "not the beginning of a flight_id"),
+        ((flight, "--topic", "/it's", "-o", "o.png"), "no decoded frame like that"),
+        (("xyz", "-o", "o.png"), "not the start of a flight_id"),
         ((flight, "-o", "o.txt"), "end it in .png or .jpg"),
         ((flight, "-o", "no/o.png"), "cannot be written"),
     ):

@@ -109,30 +109,40 @@ def test_without_json_a_sentence_an_image() -> None:
 
 
 def test_overlays_and_maps(folder: Path) -> None:
-    result = detect("a.png", "b.jpg", "--json", "--draw", "drawn/here", "--map", "maps")
-    assert result.exit_code == 0
+    assert detect("a.png", "b.jpg", "--draw", "lines", "--map", "maps").exit_code == 0
+    result = detect("a.png", "b.jpg", "--json", "--draw", "segments", "--segments")
     for row in rows(result):
         stem = row["path"].split(".")[0]
-        overlay = cv2.imread(str(folder / f"drawn/here/{stem}.png"))
-        confidence = cv2.imread(str(folder / f"maps/{stem}.png"), cv2.IMREAD_UNCHANGED)
         source = cv2.imread(str(folder / row["path"]))
-        assert overlay.shape == source.shape
-        assert (overlay != source).any()
-        assert confidence.shape[:2] == (row["height"], row["width"])
-        assert confidence.max() == round(max(s[4] for s in row["segments"]) * 255)
-        x1, y1, _, _, score = max(row["segments"], key=lambda s: s[4])
+        lines, segments, heat = (
+            cv2.imread(str(folder / f"{kind}/{stem}.png")) for kind in ("lines", "segments", "maps")
+        )
+        assert lines.shape == segments.shape == heat.shape == source.shape
+        assert (lines != source).any() == bool(row["lines"])
+        assert (segments != source).any()
+        x1, y1, _, _, _ = max(row["segments"], key=lambda s: s[4])
         column, line = min(int(x1), row["width"] - 1), min(int(y1), row["height"] - 1)
-        assert np.ravel(confidence[line, column])[0] == round(score * 255)
+        assert heat[line, column].sum() > np.median(heat.sum(axis=2))
+
+
+def test_pictures_keep_the_folders_of_their_photographs(folder: Path) -> None:
+    for name in ("1", "2"):
+        (folder / name).mkdir()
+        (folder / name / "x.jpg").write_bytes((folder / "b.jpg").read_bytes())
+    assert detect("1/x.jpg", "2/x.jpg", "--draw", "out").exit_code == 0
+    assert sorted(path.relative_to(folder).as_posix() for path in folder.glob("out/*/*")) == [
+        "out/1/x.png",
+        "out/2/x.png",
+    ]
 
 
 def test_no_picture_replaces_another_or_its_photograph(folder: Path) -> None:
     before = (folder / "a.png").read_bytes()
-    (folder / "sub").mkdir()
-    (folder / "sub/a.jpg").write_bytes((folder / "b.jpg").read_bytes())
+    (folder / "a.jpg").write_bytes((folder / "b.jpg").read_bytes())
     for arguments in (
         ("a.png", "--draw", "."),
         ("a.png", "--draw", "out", "--map", "out"),
-        ("a.png", "sub/a.jpg", "--draw", "out"),
+        ("a.png", "a.jpg", "--draw", "out"),
     ):
         result = detect(*arguments)
         assert isinstance(result.exception, OutputError), arguments
@@ -145,7 +155,7 @@ def test_pictures_that_cannot_be_written_are_one_line(folder: Path) -> None:
     (folder / "file").touch()
     result = detect("a.png", "--draw", "file")
     assert isinstance(result.exception, OutputError)
-    assert str(result.exception).startswith("file: cannot be made a folder")
+    assert str(result.exception).startswith("file: cannot be created")
 
 
 @pytest.mark.usefixtures("folder")

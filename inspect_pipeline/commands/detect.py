@@ -27,9 +27,12 @@ def detect(
     min_score: MinScoreOption = None,
     scale: ScaleOption = None,
     batch_size: Annotated[int, typer.Option(min=1, max=256, help="Images read at a time.")] = 8,
-    draw: Annotated[Path | None, typer.Option(metavar="DIR", help="Write overlays here.")] = None,
+    draw: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the lines over each image here, PNG.")
+    ] = None,
+    segments: Annotated[bool, typer.Option("--segments", help="Draw raw segments instead of lines.")] = False,
     confidence: Annotated[
-        Path | None, typer.Option("--map", metavar="DIR", help="Write confidence maps here, PNG.")
+        Path | None, typer.Option("--map", metavar="DIR", help="Write heat maps of confidence here, PNG.")
     ] = None,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
@@ -48,9 +51,9 @@ def detect(
         for photograph in detect_in(images, detector, batch_size, problems.append):
             advance()
             if draw:
-                write_overlay(photograph, draw)
+                write_overlay(photograph, images, draw, segments=segments)
             if confidence:
-                write_map(photograph, confidence)
+                write_map(photograph, images, confidence)
             typer.echo(json.dumps(photograph.to_dict()) if as_json else _row(photograph))
     for problem in problems:
         typer.echo(f"error: {problem}", err=True)

@@ -442,9 +442,10 @@ def test_overlay(run: Callable[..., Outcome], tmp_path: Path) -> None:
     make_recording(tmp_path / "a.mcap", shots(3))
     flight = json.loads(run("process", "a.mcap", "--json").out)["flight_id"]
     assert "frame 2 of /camera/image/compressed, 0 lines" in run("overlay", flight[:6], "-o", "o.png").out
-    assert "frame 2 of /camera/image/compressed, 2 segments" in run(
-        "overlay", flight[:6], "--segments", "-o", "o.png"
-    ).out
+    assert (
+        "frame 2 of /camera/image/compressed, 2 segments"
+        in run("overlay", flight[:6], "--segments", "-o", "o.png").out
+    )
     assert cv2.imread("o.png").shape == (12, 16, 3)
     assert "frame 1 of" in run("overlay", flight, "--frame", 1, "-o", "o.jpg").out
     for arguments, words in (

@@ -13,7 +13,7 @@ from inspect_pipeline.errors import OutputError
 from inspect_pipeline.images.draw import draw_heat, draw_lines, score_colours, write_picture
 from lsnet import LSNetError
 from lsnet.evaluation.rasterize import confidence_map
-from lsnet.synth.backgrounds import load_rgb
+from lsnet.images import load_rgb
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

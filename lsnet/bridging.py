@@ -1,7 +1,7 @@
-"""Stretches of one line that something interrupts: chains that go on in each other's direction are joined.
+"""Join chains that continue each other's direction: stretches of one line with an interruption.
 
-Where cables cross, each cell can say one of them only, so the chains of the others end there; so they do at
-leaves, poles and insulators.
+Where cables cross, each cell reports only one of them, so the chains of the others end there. Leaves, poles
+and insulators interrupt lines too.
 """
 
 from __future__ import annotations
@@ -15,23 +15,20 @@ from scipy.sparse.csgraph import connected_components
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import Floats, Indices
 
-    Float = NDArray[np.float64]
-    Int = NDArray[np.intp]
-
-FROM_END_PX = 24.0  # the last segments of a chain may lean towards what interrupts it
-REACH_PX = 80.0  # over which the direction of an end is taken
-MOST_OVERLAP_PX = 40.0
+FROM_END_PX = 24.0  # the last segments of a chain may lean towards the obstacle
+REACH_PX = 80.0  # over which the direction of an end is measured
+MAX_OVERLAP_PX = 40.0
 MAX_TURN_DEG = 4.0  # between the directions of two ends
-OFFSET_PX, OFFSET_PER_PX = 1.0, 0.02  # how far beside the other's line an end may lie, with the gap
+OFFSET_PX, OFFSET_PER_PX = 1.0, 0.02  # largest offset from the other's line: fixed, and per px of gap
 
 
-def bridged(polylines: Sequence[Float], max_gap_px: float) -> Int:
-    """(C,) for each polyline (K, 2) the number of the line it is a stretch of.
+def group_stretches(polylines: Sequence[Floats], max_gap_px: float) -> Indices:
+    """Assign each polyline (K, 2) to a line; (C,) the number of the line.
 
     Two ends are joined when they face each other over at most `max_gap_px`, lie on each other's line, and
-    neither has a better partner.
+    each is the other's best match.
     """
     count = len(polylines)
     if count < 2:
@@ -46,8 +43,8 @@ def bridged(polylines: Sequence[Float], max_gap_px: float) -> Int:
     return np.asarray(connected_components(graph, directed=False)[1], np.intp)
 
 
-def _ends(polylines: Sequence[Float]) -> tuple[Float, Float]:
-    """(2 C, 2) a place near each end, start before end, and (2 C, 2) the unit vector outwards there."""
+def _ends(polylines: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """(2 C, 2) a place near each end, start before end, and (2 C, 2) the outward unit vectors there."""
     places, outwards = [], []
     for polyline in polylines:
         steps = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(polyline, axis=0).T))])
@@ -60,14 +57,14 @@ def _ends(polylines: Sequence[Float]) -> tuple[Float, Float]:
     return np.array(places), np.array(outwards)
 
 
-def _costs(places: Float, outwards: Float, max_gap_px: float) -> Float:
-    """(2 C, 2 C) how badly each end goes on in each other one, infinite where it does not."""
+def _costs(places: Floats, outwards: Floats, max_gap_px: float) -> Floats:
+    """(2 C, 2 C) cost of joining each end with each other one, infinite where they do not fit."""
     between = places[None] - places[:, None]
-    ahead = (between * outwards[:, None]).sum(-1)  # of the other's place, in one's own direction
+    ahead = (between * outwards[:, None]).sum(-1)  # of the other's place, in this end's direction
     aside = np.abs(outwards[:, None, 0] * between[..., 1] - outwards[:, None, 1] * between[..., 0])
     gap = np.minimum(ahead, ahead.T) - 2 * FROM_END_PX
     offset, turn = np.maximum(aside, aside.T), -(outwards @ outwards.T)
-    fits = (gap <= max_gap_px) & (gap >= -MOST_OVERLAP_PX) & (turn >= np.cos(np.radians(MAX_TURN_DEG)))
+    fits = (gap <= max_gap_px) & (gap >= -MAX_OVERLAP_PX) & (turn >= np.cos(np.radians(MAX_TURN_DEG)))
     fits &= offset <= OFFSET_PX + OFFSET_PER_PX * np.abs(between).max(-1)
     own = np.arange(len(places)) // 2
     fits &= own[:, None] != own

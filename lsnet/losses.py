@@ -63,7 +63,7 @@ def wing_loss(error: Tensor, w: float, epsilon: float) -> Tensor:
     return torch.where(error < w, w * torch.log1p(error / epsilon), error - offset)
 
 
-class Losses(NamedTuple):
+class LossParts(NamedTuple):
     """The parts of the loss of a batch, each a scalar per positive cell."""
 
     total: Tensor
@@ -88,8 +88,8 @@ class MultiTaskLoss:
     regression: Literal["wing", "smooth_l1", "l2"] = "wing"
     main_grid_only: bool = False  # the cells of the other three grids are not trained
 
-    def __call__(self, output: RawOutput, labels: Tensor, endpoints: Tensor) -> Losses:
-        """Losses of a batch; labels (N, R, C) and endpoints (N, R, C, 4) as in `grid.Targets`."""
+    def __call__(self, output: RawOutput, labels: Tensor, endpoints: Tensor) -> LossParts:
+        """LossParts of a batch; labels (N, R, C) and endpoints (N, R, C, 4) as in `grid.Targets`."""
         if self.main_grid_only:
             labels = of_main_grid(labels, IGNORED)
         logits = output.logits.float().permute(0, 2, 3, 1)[labels != IGNORED]
@@ -99,7 +99,7 @@ class MultiTaskLoss:
         error = self.error(predicted, endpoints[labels == POSITIVE])
         classification = focal_loss(logits, is_positive, self.alpha, self.gamma).sum() / n_positive
         regression = self._regression(error).sum() / n_positive
-        return Losses(classification + self.weight * regression, classification, regression)
+        return LossParts(classification + self.weight * regression, classification, regression)
 
     def _regression(self, error: Tensor) -> Tensor:
         if self.regression == "smooth_l1":

@@ -1,18 +1,15 @@
-"""Backends that run a network on a frame: torch, and OpenVINO where it is installed.
+"""Backends that run a network on images: torch, and OpenVINO if installed.
 
-Each takes uint8 images (H, W, 3) RGB, H and W multiples of 16, and gives the raw maps of each: scores
-(R, C) and endpoints (R, C, 4) in cell fractions, float32. On a CPU a stacked batch is slower than its
-images one by one, so the backends run one frame per stream.
+A backend takes uint8 RGB images (H, W, 3), H and W multiples of 16, and returns the raw maps of each: scores
+(R, C) and endpoints (R, C, 4) in cell fractions, float32. On a CPU a stacked batch is slower than its images
+one by one, so the backends run one image per stream.
 """
 
 from __future__ import annotations
 
 import copy
-import io
-import logging
 import os
 import sys
-from contextlib import redirect_stdout
 from functools import lru_cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
@@ -24,31 +21,29 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from lsnet.errors import LSNetError
 from lsnet.model import ConvNormAct, LSNet
+from lsnet.quantization import quantize_int8
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
+    from lsnet.arrays import ImageArray, Maps
 
 RUNTIMES = ("auto", "torch", "openvino", "openvino-bf16", "openvino-int8")
-CALIBRATION_SCENES, CALIBRATION_PX = 16, 384
 
 
 class Backend(Protocol):
-    """A network ready to run."""
+    """A network that is ready to run."""
 
     name: str
     precision: str
     threads: int
 
-    def run(self, images: Sequence[NDArray[np.uint8]]) -> list[Maps]:
-        """Raw maps of each image, in order."""
+    def run(self, images: Sequence[ImageArray]) -> list[Maps]:
+        """Return the raw maps of each image, in order."""
         ...
 
 
-class Deployed(nn.Module):
+class InferenceModule(nn.Module):
     """The network from pixels to maps: (N, H, W, 3) uint8 to scores (N, R, C) and endpoints (N, R, C, 4)."""
 
     def __init__(self, net: LSNet) -> None:
@@ -56,13 +51,13 @@ class Deployed(nn.Module):
         self.net = fold_norms(net)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Both outputs are float32."""
+        """Run a batch; both outputs are float32."""
         output = self.net(images.permute(0, 3, 1, 2).float() / 255)
         return output.scores.float(), output.endpoints.permute(0, 2, 3, 1).float()
 
 
 def fold_norms(net: LSNet) -> LSNet:
-    """A copy for inference with every BatchNorm folded into its convolution; GroupNorm cannot be."""
+    """Return a copy for inference with each BatchNorm folded into its convolution; GroupNorm stays."""
     folded = copy.deepcopy(net).eval()
     for block in folded.modules():
         if isinstance(block, ConvNormAct) and isinstance(block[1], nn.BatchNorm2d):
@@ -73,46 +68,55 @@ def fold_norms(net: LSNet) -> LSNet:
 
 
 class TorchBackend:
-    """Eager torch, channels last; on a GPU where there is one."""
+    """Eager torch, channels last; on a GPU if there is one."""
 
     name = "torch"
     precision = "f32"
 
     def __init__(self, net: LSNet) -> None:
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self._module = Deployed(net).eval().to(self._device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._module = InferenceModule(net).eval().to(self._device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.threads = torch.get_num_threads()
 
-    def run(self, images: Sequence[NDArray[np.uint8]]) -> list[Maps]:
-        """Raw maps of each image, in order."""
+    def run(self, images: Sequence[ImageArray]) -> list[Maps]:
+        """Return the raw maps of each image, in order."""
         return [self._run_one(image) for image in images]
 
     @torch.inference_mode()
-    def _run_one(self, image: NDArray[np.uint8]) -> Maps:
+    def _run_one(self, image: ImageArray) -> Maps:
         batch = torch.from_numpy(np.ascontiguousarray(image))[None].to(self._device)
         scores, endpoints = self._module(batch)
         return scores[0].cpu().numpy(), endpoints[0].cpu().numpy()
 
 
 class OpenVinoBackend:
-    """OpenVINO on the CPU: one stream and one thread a core, a compiled network per frame size."""
+    """OpenVINO on the CPU: one stream and one thread per core, one compiled network per image size."""
 
     name = "openvino"
 
     def __init__(self, net: LSNet, precision: str = "f32", threads: int | None = None) -> None:
-        """precision: f32, bf16 or int8. threads: one a core unless told. Raises LSNetError without NNCF."""
+        """Convert the network.
+
+        Args:
+            net: The network.
+            precision: f32, bf16 or int8.
+            threads: Default: one per core.
+
+        Raises:
+            LSNetError: NNCF, which int8 needs, is not installed.
+        """
         ov = import_openvino()
         self.precision = precision
         self.threads = threads or len(os.sched_getaffinity(0))
         self._core = ov.Core()
         example = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
-        self._model = ov.convert_model(Deployed(net).eval(), example_input=example)
+        self._model = ov.convert_model(InferenceModule(net).eval(), example_input=example)
         if precision == "int8":
-            self._model = quantised(self._model)
+            self._model = quantize_int8(self._model)
         self._queue_of = lru_cache(maxsize=4)(self._compile)
 
-    def run(self, images: Sequence[NDArray[np.uint8]]) -> list[Maps]:
-        """Raw maps of each image, in order; images of one size run at once, one per stream."""
+    def run(self, images: Sequence[ImageArray]) -> list[Maps]:
+        """Return the raw maps of each image, in order; images of one size run in parallel, one per stream."""
         results: list[Any] = [None] * len(images)
         for height, width in dict.fromkeys(image.shape[:2] for image in images):
             queue = self._queue_of(height, width)
@@ -132,14 +136,20 @@ class OpenVinoBackend:
         }
         compiled = self._core.compile_model(model, "CPU", options)
         queue = import_openvino().AsyncInferQueue(compiled, self.threads)
-        queue.set_callback(_keep_result)
+        queue.set_callback(_store_result)
         return queue
 
 
-def import_openvino() -> Any:
-    """The module openvino without openvino_telemetry, which tells its makers of imports and conversions.
+def _store_result(request: Any, place: tuple[list[Any], int]) -> None:
+    results, i = place
+    results[i] = tuple(request.get_output_tensor(k).data[0].copy() for k in (0, 1))
 
-    Raises ImportError.
+
+def import_openvino() -> Any:
+    """Import openvino without openvino_telemetry, which reports imports and conversions to its makers.
+
+    Raises:
+        ImportError: OpenVINO is not installed.
     """
     sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type] # as if not installed
     import openvino  # noqa: PLC0415
@@ -147,36 +157,14 @@ def import_openvino() -> Any:
     return openvino
 
 
-def quantised(model: Any) -> Any:
-    """An OpenVINO network of `Deployed` in 8-bit integers, their ranges set on a few drawn scenes (NNCF).
-
-    The same network gives the same one each time. Raises LSNetError when NNCF is not installed.
-    """
-    if find_spec("nncf") is None:
-        raise LSNetError("NNCF is not installed; pip install 'lsnet-pipe[int8]' or use --runtime openvino")
-    import nncf  # noqa: PLC0415
-
-    from lsnet.synth.backgrounds import BackgroundPool  # noqa: PLC0415
-    from lsnet.synth.dataset import SyntheticScenes  # noqa: PLC0415
-
-    nncf.set_log_level(logging.ERROR)
-    scenes = SyntheticScenes(BackgroundPool([]), CALIBRATION_PX)
-    images = nncf.Dataset([scenes[i].image[None] for i in range(CALIBRATION_SCENES)])
-    with redirect_stdout(io.StringIO()):  # NNCF draws progress bars there
-        return nncf.quantize(
-            model, images, preset=nncf.QuantizationPreset.MIXED, subset_size=CALIBRATION_SCENES
-        )
-
-
-def _keep_result(request: Any, place: tuple[list[Any], int]) -> None:
-    results, i = place
-    results[i] = tuple(request.get_output_tensor(k).data[0].copy() for k in (0, 1))
-
-
 def open_backend(net: LSNet, runtime: str) -> Backend:
-    """The backend asked for; `auto` takes a GPU, then OpenVINO, in bf16 where the CPU has it, then torch.
+    """Open a backend by name.
 
-    Raises LSNetError for an unknown one or one that is not installed.
+    `auto` is torch if there is a GPU, else OpenVINO if installed (in bf16 where the CPU supports it), else
+    torch.
+
+    Raises:
+        LSNetError: The name is unknown, or the runtime is not installed.
     """
     if runtime not in RUNTIMES:
         raise LSNetError(f"no runtime {runtime!r}; choose one of {', '.join(RUNTIMES)}")

@@ -1,7 +1,8 @@
-"""What the detector says: `Segments` from grid cells, `Lines` merged from them, `Detections` of one image.
+"""Results of the detector: `Segments` of grid cells, `Lines` merged from them, `Detections` of one image.
 
-Pixel convention, everywhere in this project: the origin is the top-left corner of the top-left pixel,
-so the centre of pixel (i, j) is (j + 0.5, i + 0.5). Endpoints are xyxy, sizes are (height, width).
+Pixel convention throughout this project: the origin is the top-left corner of the top-left pixel, so the
+centre of the pixel in row i and column j is (x, y) = (j + 0.5, i + 0.5). Endpoints are xyxy, sizes are
+(height, width).
 """
 
 from __future__ import annotations
@@ -12,21 +13,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from lsnet.arrays import Floats32, Ints32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
     """Line segments of one image.
 
-    endpoints: (N, 4) float32, x1 y1 x2 y2 in pixels of an image of `image_size`.
-    scores: (N,) float32 in [0, 1].
-    image_size: (height, width) in pixels.
-    Raises ValueError when the shapes disagree.
+    Attributes:
+        endpoints: (N, 4) float32, x1 y1 x2 y2 in pixels of an image of `image_size`.
+        scores: (N,) float32 in [0, 1].
+        image_size: (height, width) in pixels.
+
+    Raises:
+        ValueError: The shapes disagree.
     """
 
-    endpoints: NDArray[np.float32]
-    scores: NDArray[np.float32]
+    endpoints: Floats32
+    scores: Floats32
     image_size: tuple[int, int]
 
     def __post_init__(self) -> None:
@@ -40,16 +44,16 @@ class Segments:
 
     @classmethod
     def empty(cls, image_size: tuple[int, int]) -> Segments:
-        """No segments in an image of (height, width)."""
+        """Return no segments in an image of (height, width)."""
         return cls(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), image_size)
 
     def above(self, min_score: float) -> Segments:
-        """The segments whose score is at least `min_score`, order kept."""
+        """Return the segments with a score of at least `min_score`, in the same order."""
         keep = self.scores >= min_score
         return Segments(self.endpoints[keep], self.scores[keep], self.image_size)
 
     def scaled_to(self, image_size: tuple[int, int]) -> Segments:
-        """The same segments in the pixels of the image resized to (height, width)."""
+        """Return the segments in the pixels of the image resized to (height, width)."""
         if image_size == self.image_size:
             return self
         sy, sx = image_size[0] / self.image_size[0], image_size[1] / self.image_size[1]
@@ -61,13 +65,17 @@ class Segments:
 class Lines:
     """Polylines of one image.
 
-    points: one (K, 2) float32 array of x, y per line, K >= 2, in order along the line.
-    scores: (M,) float32 in [0, 1].
-    image_size: (height, width) in pixels.
+    Attributes:
+        points: One (K, 2) float32 array of x, y per line, K >= 2, in order along the line.
+        scores: (M,) float32 in [0, 1].
+        image_size: (height, width) in pixels.
+
+    Raises:
+        ValueError: The shapes disagree.
     """
 
-    points: tuple[NDArray[np.float32], ...]
-    scores: NDArray[np.float32]
+    points: tuple[Floats32, ...]
+    scores: Floats32
     image_size: tuple[int, int]
 
     def __post_init__(self) -> None:
@@ -81,16 +89,16 @@ class Lines:
 
     @classmethod
     def empty(cls, image_size: tuple[int, int]) -> Lines:
-        """No lines in an image of (height, width)."""
+        """Return no lines in an image of (height, width)."""
         return cls((), np.zeros(0, np.float32), image_size)
 
     def above(self, min_score: float) -> Lines:
-        """The lines whose score is at least `min_score`, order kept."""
+        """Return the lines with a score of at least `min_score`, in the same order."""
         keep = np.flatnonzero(self.scores >= min_score)
         return Lines(tuple(self.points[i] for i in keep), self.scores[keep], self.image_size)
 
     def pieces(self) -> Segments:
-        """The straight pieces of all lines, in order, each with the score of its line."""
+        """Return the straight pieces of all lines, in order, each with the score of its line."""
         if not len(self):
             return Segments.empty(self.image_size)
         ends = np.concatenate([np.hstack([points[:-1], points[1:]]) for points in self.points])
@@ -98,7 +106,7 @@ class Lines:
         return Segments(ends.astype(np.float32), scores.astype(np.float32), self.image_size)
 
     def scaled_to(self, image_size: tuple[int, int]) -> Lines:
-        """The same lines in the pixels of the image resized to (height, width)."""
+        """Return the lines in the pixels of the image resized to (height, width)."""
         if image_size == self.image_size:
             return self
         factor = np.array(
@@ -109,16 +117,32 @@ class Lines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """Everything found in one image, in the pixels of that image.
+    """Segments and lines of one image, in the pixels of that image.
 
-    line_of: (N,) int32, the line each segment belongs to, -1 for none; None where that is not known.
+    Attributes:
+        segments: One segment per grid cell that reports one.
+        lines: Polylines merged from the segments.
+        line_of: (N,) int32, the index of the line each segment belongs to, -1 for none; None if unknown.
     """
 
     segments: Segments
     lines: Lines
-    line_of: NDArray[np.int32] | None = None
+    line_of: Ints32 | None = None
 
     @classmethod
     def empty(cls, image_size: tuple[int, int]) -> Detections:
-        """Nothing found in an image of (height, width)."""
+        """Return no detections in an image of (height, width)."""
         return cls(Segments.empty(image_size), Lines.empty(image_size))
+
+    def above(self, min_score: float) -> Detections:
+        """Return the segments and the lines whose own score is at least `min_score`, in the same order."""
+        line_of = self.line_of
+        if line_of is not None:
+            is_kept = self.lines.scores >= min_score
+            new_index = np.append(np.where(is_kept, np.cumsum(is_kept) - 1, -1), -1)  # -1 stays -1
+            line_of = new_index.astype(np.int32)[line_of[self.segments.scores >= min_score]]
+        return Detections(self.segments.above(min_score), self.lines.above(min_score), line_of)
+
+    def scaled_to(self, image_size: tuple[int, int]) -> Detections:
+        """Return the detections in the pixels of the image resized to (height, width)."""
+        return Detections(self.segments.scaled_to(image_size), self.lines.scaled_to(image_size), self.line_of)

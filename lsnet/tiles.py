@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from lsnet.runtime import Maps
+    from lsnet.arrays import Maps
 
 TILE_PX = 1024  # longest side run in one piece
 MARGIN_PX = 144  # left beside what is taken from a tile; 128 are in sight of a cell, and cells start every 16

@@ -148,7 +148,7 @@ def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(compare.CANDIDATES, "networks", (compare.Candidate("small", TINY),))
+    monkeypatch.setitem(compare.CANDIDATES, "networks", (compare.Variant("small", TINY),))
     monkeypatch.setattr(compare, "cpu_ms_of", lambda _network: {"torch": 2.0, "openvino f32": 1.0})
     monkeypatch.setattr(compare, "VALIDATION_IMAGES", 1)
     words = (

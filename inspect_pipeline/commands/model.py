@@ -14,7 +14,7 @@ from inspect_pipeline.commands.options import JsonOption, RuntimeOption, Weights
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
-    from lsnet.training.trainer import Progress
+    from lsnet.training.trainer import TrainingProgress
 
 app = typer.Typer(
     help="Train, export, evaluate and time a network.",
@@ -99,7 +99,7 @@ def train(
     typer.echo(f"{run / 'best.pt'}: validation loss {trainer.best_loss:.4f}; next: lsnet-pipe model export")
 
 
-def _telling(state: Progress) -> str:
+def _telling(state: TrainingProgress) -> str:
     text = f"loss {state.loss:.3f} (cells {state.classification:.3f}, endpoints {state.regression:.3f})"
     if state.validation_loss is not None:
         text += f", validation {state.validation_loss:.4f}"
@@ -173,10 +173,10 @@ def evaluate(
 
     Example: lsnet-pipe model eval --synthetic 200 --background photos/without_lines
     """
-    from lsnet.evaluation.report import EvalTask, evaluate_all, open_finder
+    from lsnet.evaluation.report import EvalTask, evaluate_all, open_line_detector
 
     task = EvalTask(tuple(folders or ()), use.value, paper, synthetic, tuple(background or ()))
-    finder, own = open_finder(weights, runtime, rival, grids)
+    finder, own = open_line_detector(weights, runtime, rival, grids)
     with progress_bar("eval", task.count_images()) as advance:
         reports = evaluate_all(finder, task, own if min_score is None else min_score, on_image=advance)
     for report in reports:

@@ -123,7 +123,7 @@ def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
 def _make_ground(rng: np.random.Generator, photograph: Path | None) -> ImageArray:
     if photograph is None:
         return draw_ground(rng)
-    from lsnet.synth.backgrounds import load_rgb  # noqa: PLC0415 - loads much
+    from lsnet.images import load_rgb  # noqa: PLC0415 - loads much
 
     return lay_photograph(load_rgb(photograph))
 

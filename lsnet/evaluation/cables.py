@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lsnet.evaluation.pixels import Finder, Use
+    from lsnet.evaluation.pixels import LineDetector, Use
     from lsnet.synth.dataset import SampleSource
 
     Float = NDArray[np.float64]
@@ -81,7 +81,7 @@ class CableFound:
 
 
 def evaluate_cables(
-    finder: Finder,
+    finder: LineDetector,
     samples: SampleSource,
     count: int,
     *,

@@ -14,7 +14,7 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.evaluation.metrics import PixelTruth
-from lsnet.synth.backgrounds import SUFFIXES, load_rgb
+from lsnet.images import IMAGE_SUFFIXES, load_rgb
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,7 +36,9 @@ def images_of(folder: Path) -> tuple[Kind, list[Path]]:
         where = folder
         if any(folder.glob("*.boundary.png")):
             kind = "contours"
-    files = sorted(f for f in where.glob("*") if f.suffix.lower() in SUFFIXES and ".boundary" not in f.name)
+    files = sorted(
+        f for f in where.glob("*") if f.suffix.lower() in IMAGE_SUFFIXES and ".boundary" not in f.name
+    )
     if not files:
         raise LSNetError(f"{folder}: no images to evaluate; give a folder of images")
     return kind, files

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lsnet.runtime import Backend, Maps
+    from lsnet.arrays import Maps
+    from lsnet.runtime import Backend
 
 GRIDS = {"M": (0, 0), "H": (0, 1), "V": (1, 0), "C": (1, 1)}  # first row and column of every second one
 

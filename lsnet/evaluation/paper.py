@@ -15,7 +15,7 @@ from lsnet.evaluation.datasets import images_of, load_truth
 from lsnet.evaluation.metrics import rates
 from lsnet.evaluation.pixels import used
 from lsnet.evaluation.rasterize import confidence_map, otsu_mask, smoothed
-from lsnet.synth.backgrounds import load_rgb
+from lsnet.images import load_rgb
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lsnet.evaluation.pixels import Finder, Use
+    from lsnet.evaluation.pixels import LineDetector, Use
     from lsnet.segments import Segments
 
     Binarised = Literal["otsu", "0.5"]
@@ -67,7 +67,7 @@ def segmentation(segments: Segments, width_px: int, binarised: Binarised) -> NDA
 
 
 def evaluate_as_paper(
-    finder: Finder, folder: Path, *, use: Use = "segments", on_image: Callable[[], None] = lambda: None
+    finder: LineDetector, folder: Path, *, use: Use = "segments", on_image: Callable[[], None] = lambda: None
 ) -> list[PaperScore]:
     """Scores of a folder for each width and both ways; none for a folder without pixel truth.
 

@@ -10,7 +10,7 @@ import numpy as np
 from lsnet.evaluation.datasets import images_of, load_truth
 from lsnet.evaluation.metrics import THRESHOLDS, PixelScore, pixel_counts, pixel_scores
 from lsnet.evaluation.rasterize import confidence_map
-from lsnet.synth.backgrounds import load_rgb
+from lsnet.images import load_rgb
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 REPORT_THRESHOLDS = (0.3, 0.5, 0.7, 0.9)
 
 
-class Finder(Protocol):
+class LineDetector(Protocol):
     """What can be evaluated: a `Detector`, or a rival."""
 
     def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
@@ -79,7 +79,7 @@ class ShareReport:
 
 
 def evaluate(
-    detector: Finder,
+    detector: LineDetector,
     folder: Path,
     *,
     min_score: float,

@@ -24,7 +24,7 @@ from lsnet.weights import load_weights
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lsnet.evaluation.pixels import Finder, Use
+    from lsnet.evaluation.pixels import LineDetector, Use
 
 EVALUATION_SEED = 2 * VALIDATION_SEED  # no drawn image is trained or validated on
 
@@ -63,7 +63,9 @@ class EvalTask:
         return count
 
 
-def open_finder(weights: str, runtime: str, rival: str | None, grids: str = "MHVC") -> tuple[Finder, float]:
+def open_line_detector(
+    weights: str, runtime: str, rival: str | None, grids: str = "MHVC"
+) -> tuple[LineDetector, float]:
     """What is to be scored, telling all from score 0.05 up, and its own threshold.
 
     rival: lsd, or the path of M-LSD's .tflite. grids: those of the weights that are used. Raises LSNetError
@@ -81,7 +83,7 @@ def open_finder(weights: str, runtime: str, rival: str | None, grids: str = "MHV
 
 
 def evaluate_all(
-    finder: Finder, task: EvalTask, min_score: float, on_image: Callable[[], None] = lambda: None
+    finder: LineDetector, task: EvalTask, min_score: float, on_image: Callable[[], None] = lambda: None
 ) -> list[Report]:
     """The table, line by line: the folders in order, then the drawn images."""
     reports: list[Report] = []

@@ -11,7 +11,8 @@ import numpy as np
 
 from lsnet.detector import Detector
 from lsnet.evaluation.datasets import images_of
-from lsnet.synth.backgrounds import BackgroundPool, load_rgb
+from lsnet.images import load_rgb
+from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
+from lsnet.images import IMAGE_SUFFIXES, load_rgb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
     Rng = np.random.Generator
 
-SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".hdr"}
 PLAIN_SHARE = 0.22  # of the backgrounds are drawn: asphalt, concrete and sky are rare among photographs
 VEGETATION_SHARE = 0.2  # likewise: leaves near enough to be seen one by one
 
@@ -47,30 +47,10 @@ class BackgroundFolder:
         """The image files taken, sorted by name. Raises LSNetError when there are none."""
         if not self.path.is_dir():
             raise LSNetError(f"{self.path}: not a folder; give a folder of photographs without lines")
-        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in SUFFIXES)[: self.first]
+        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)[: self.first]
         if not files:
             raise LSNetError(f"{self.path}: no images in it; give a folder of photographs without lines")
         return files
-
-
-def load_rgb(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB as stored, without EXIF rotation; radiance maps are tone-mapped.
-
-    Raises LSNetError when the file is not an image.
-    """
-    is_radiance = path.suffix.lower() == ".hdr"
-    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
-    flags |= cv2.IMREAD_ANYDEPTH if is_radiance else 0
-    try:
-        image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
-    except (OSError, cv2.error) as err:
-        raise LSNetError(f"{path}: cannot be read as an image; give a JPEG, PNG or the like") from err
-    if image is None:
-        raise LSNetError(f"{path}: cannot be read as an image; give a JPEG, PNG or the like")
-    if is_radiance:
-        bright = max(float(np.percentile(image, 90)), 1e-6)
-        image = np.clip((image / bright) ** (1 / 2.2) * 220, 0, 255).astype(np.uint8)
-    return np.ascontiguousarray(image)
 
 
 class BackgroundPool:

@@ -8,7 +8,8 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.files import make_folder, write_png
-from lsnet.synth.backgrounds import BackgroundFolder, load_rgb
+from lsnet.images import load_rgb
+from lsnet.synth.backgrounds import BackgroundFolder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lsnet.errors import LSNetError
-from lsnet.synth.backgrounds import SUFFIXES, load_rgb
+from lsnet.images import IMAGE_SUFFIXES, load_rgb
 from lsnet.synth.conditions import augment_further
 from lsnet.synth.dataset import Sample, to_uint8
 from lsnet.synth.geometric import affine
@@ -87,7 +87,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _from_labelme(folder: Path, labels: tuple[str, ...]) -> list[LabelledImage]:
     found = []
-    for path in sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES):
+    for path in sorted(f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES):
         label_file = path.with_suffix(".json")
         if not label_file.is_file():
             continue

@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader, Dataset
 from lsnet.errors import LSNetError
 from lsnet.files import make_folder
 from lsnet.grid import GridCoder
-from lsnet.losses import Losses, MultiTaskLoss
+from lsnet.losses import LossParts, MultiTaskLoss
 from lsnet.model import PRESETS, LSNet, LSNetConfig
 from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint, save_checkpoint
 from lsnet.training.pruning import slim
@@ -56,7 +56,7 @@ class TrainConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class TrainingProgress:
     """What is reported while training: mean losses since the last report."""
 
     step: int
@@ -155,7 +155,7 @@ class Trainer:
             self.average.load_state_dict(self.net.state_dict())
 
     def run(
-        self, samples: SampleSource, validation: SampleSource, report: Callable[[Progress], None]
+        self, samples: SampleSource, validation: SampleSource, report: Callable[[TrainingProgress], None]
     ) -> None:
         """Train to the last step or until validation stops improving; `report` is called now and then.
 
@@ -187,7 +187,7 @@ class Trainer:
             losses = [float(self._losses(self.average, batch).total) for batch in batches]
         return sum(losses) / len(losses)
 
-    def _epoch(self, batches: Iterator[Batch]) -> Iterator[Progress]:
+    def _epoch(self, batches: Iterator[Batch]) -> Iterator[TrainingProgress]:
         """Step through the batches, reporting every 50 steps and before each validation."""
         totals, count, clock = np.zeros(3), 0, time.monotonic()
         for batch in batches:
@@ -198,13 +198,13 @@ class Trainer:
                 continue
             rate = count * self.config.batch_size / (time.monotonic() - clock)
             mean = totals / count
-            yield Progress(self.step, self.config.steps, mean[0], mean[1], mean[2], rate)
+            yield TrainingProgress(self.step, self.config.steps, mean[0], mean[1], mean[2], rate)
             totals, count, clock = np.zeros(3), 0, time.monotonic()
 
     def _is_validation_due(self) -> bool:
         return self.step % self.config.validate_every == 0 or self.step == self.config.steps
 
-    def _train_step(self, batch: Batch) -> Losses:
+    def _train_step(self, batch: Batch) -> LossParts:
         self.net.train()
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate_at(self.step, self.config)
@@ -217,7 +217,7 @@ class Trainer:
         self._update_average()
         return losses
 
-    def _losses(self, net: LSNet, batch: Batch) -> Losses:
+    def _losses(self, net: LSNet, batch: Batch) -> LossParts:
         images, labels, endpoints = batch
         pixels = images.to(memory_format=torch.channels_last).float().div_(255)
         with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -288,6 +288,6 @@ class Trainer:
         self.step, self.best_loss = state["step"], state["best_loss"]
         self.bad_validations = state["bad_validations"]
 
-    def _log(self, progress: Progress) -> None:
+    def _log(self, progress: TrainingProgress) -> None:
         with (self.run_dir / "log.jsonl").open("a") as log:
             log.write(json.dumps(asdict(progress)) + "\n")

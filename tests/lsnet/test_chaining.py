@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lsnet.chaining import MergeConfig, merge_with_owners
+from lsnet.chaining import ChainingConfig, chain_segments
 from lsnet.grid import POSITIVE, GridCoder
 from lsnet.segments import Lines, Segments
 
 SIZE = (256, 384)
 
 
-def merge(segments: Segments, config: MergeConfig | None = None, enlarged: float = 1.0) -> Lines:
-    return merge_with_owners(segments, config or MergeConfig(), enlarged)[0]
+def merge(segments: Segments, config: ChainingConfig | None = None, enlarged: float = 1.0) -> Lines:
+    return chain_segments(segments, config or ChainingConfig(), enlarged).lines
 
 
 def cells_of(*polylines: list[tuple[float, float]], score: float = 0.9) -> Segments:
@@ -79,7 +79,7 @@ def test_a_wide_gap_parts_a_line_and_a_narrow_one_does_not() -> None:
         np.concatenate([left.endpoints, right.endpoints]), np.concatenate([left.scores, right.scores]), SIZE
     )
     assert len(merge(both)) == 2
-    assert len(merge(both, MergeConfig(max_gap_px=140))) == 1
+    assert len(merge(both, ChainingConfig(max_gap_px=140))) == 1
 
 
 @settings(max_examples=20, deadline=None)
@@ -129,10 +129,11 @@ def test_segments_lie_on_the_line_that_owns_them(seed: int) -> None:
     segments = Segments(
         np.concatenate([noisy, stray]), rng.uniform(0, 1, len(noisy) + 30).astype(np.float32), SIZE
     )
-    lines, owners = merge_with_owners(segments, MergeConfig())
+    found = chain_segments(segments, ChainingConfig())
+    lines, owners = found.lines, found.line_of
     assert owners.shape == (len(segments),)
     assert set(owners.tolist()) - {-1} == set(range(len(lines)))  # none without a segment
-    assert (owners[segments.scores < MergeConfig().min_segment_score] == -1).all()
+    assert (owners[segments.scores < ChainingConfig().min_segment_score] == -1).all()
     for (x1, y1, x2, y2), owner in zip(segments.endpoints.tolist(), owners.tolist(), strict=True):
         if owner >= 0:
             middle = ((x1 + x2) / 2, (y1 + y2) / 2)

@@ -19,7 +19,7 @@ from nets import TINY, openvino_or_skip, save_tiny, tiny_net
 
 from lsnet import Detector, LSNetError, load_weights, tiles
 from lsnet.model import PRESETS
-from lsnet.runtime import Deployed, OpenVinoBackend, TorchBackend, open_backend
+from lsnet.runtime import InferenceModule, OpenVinoBackend, TorchBackend, open_backend
 from lsnet.weights import Weights, WeightsCard
 
 if TYPE_CHECKING:
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lsnet.arrays import Maps
     from lsnet.model import LSNet
-    from lsnet.runtime import Backend, Maps
+    from lsnet.runtime import Backend
 
 TOLERANCE = 1e-4  # of scores and of cell fractions, against torch in fp32
 RNG = np.random.default_rng(0)
@@ -115,7 +116,7 @@ def test_a_quantised_network_says_nearly_the_same(capfd: pytest.CaptureFixture[s
 
 def test_nncf_that_is_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     openvino_or_skip()
-    monkeypatch.setattr("lsnet.runtime.find_spec", lambda name: None if name == "nncf" else True)
+    monkeypatch.setattr("lsnet.quantization.find_spec", lambda _name: None)
     with pytest.raises(LSNetError, match=r"NNCF is not installed; pip install 'lsnet-pipe\[int8\]'"):
         open_backend(tiny_net(), "openvino-int8")
 
@@ -182,7 +183,7 @@ def test_every_position_is_taken_once_and_far_from_cuts(rows: int, columns: int)
 @pytest.mark.parametrize("config", [TINY, PRESETS["fast"]], ids=["tiny", "fast"])
 def test_tiles_equal_the_whole_frame(config: object, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tiles, "TILE_PX", 448)
-    run = Deployed(tiny_net(config=config)).eval()
+    run = InferenceModule(tiny_net(config=config)).eval()
     frame = torch.from_numpy(photo(32, 1008))[None]
     cut = tiles.tiles_of(32, 1008)
     assert len(cut) > 3

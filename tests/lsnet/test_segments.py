@@ -25,6 +25,21 @@ def test_scaled_to_another_size_moves_x_and_y_on_their_own() -> None:
     assert segments.endpoints.dtype == np.float32
 
 
+def test_a_threshold_renumbers_the_lines_of_segments_whatever_their_order() -> None:
+    segments = Segments(np.vstack([TWO, TWO]), np.array([0.9, 0.2, 0.8, 0.7], np.float32), (30, 40))
+    line = np.zeros((2, 2), np.float32)
+    lines = Lines((line, line + 1, line + 2), np.array([0.6, 0.1, 0.9], np.float32), (30, 40))
+    found = Detections(segments, lines, np.array([2, 0, 1, -1], np.int32)).above(0.5)
+    assert found.lines.points[1][0].tolist() == [2, 2]
+    assert found.line_of is not None
+    assert found.line_of.tolist() == [1, -1, -1]  # its line; a line below the threshold; none before
+    assert found.line_of.dtype == np.int32
+    assert Detections(segments, lines).above(0.5).line_of is None
+    nothing = Detections(segments, Lines.empty((30, 40)), np.full(4, -1, np.int32)).above(0.75)
+    assert nothing.line_of is not None
+    assert nothing.line_of.tolist() == [-1, -1]
+
+
 def test_nothing_is_ordinary() -> None:
     nothing = Detections.empty((3, 4))
     assert (len(nothing.segments), len(nothing.lines)) == (0, 0)

@@ -38,7 +38,7 @@ VALIDATION_IMAGES = 128  # the last ones of the set
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class Variant:
     """One network with one loss; `seed` of its first weights and its crops."""
 
     name: str
@@ -48,23 +48,23 @@ class Candidate:
 
 
 NETWORKS = (
-    Candidate("fast"),
-    Candidate("fast, another seed", seed=1),
-    Candidate("wider", replace(FAST, stem_channels=24, stage_channels=(32, 64, 128), head_channels=128)),
-    Candidate("narrower", replace(FAST, stage_channels=(24, 32, 64), head_channels=64)),
-    Candidate("no context block", replace(FAST, context_blocks=0)),
-    Candidate("deep", replace(FAST, stage_blocks=2)),
-    Candidate("GroupNorm", replace(FAST, norm="group")),
-    Candidate("head of 48", replace(FAST, head_channels=48)),
+    Variant("fast"),
+    Variant("fast, another seed", seed=1),
+    Variant("wider", replace(FAST, stem_channels=24, stage_channels=(32, 64, 128), head_channels=128)),
+    Variant("narrower", replace(FAST, stage_channels=(24, 32, 64), head_channels=64)),
+    Variant("no context block", replace(FAST, context_blocks=0)),
+    Variant("deep", replace(FAST, stage_blocks=2)),
+    Variant("GroupNorm", replace(FAST, norm="group")),
+    Variant("head of 48", replace(FAST, head_channels=48)),
 )
 ABLATIONS = (
-    Candidate("fast"),
-    Candidate("fast, another seed", seed=1),
-    Candidate("one grid", loss=MultiTaskLoss(main_grid_only=True)),
-    Candidate("cross entropy", loss=MultiTaskLoss(gamma=0.0)),
-    Candidate("smooth L1", loss=MultiTaskLoss(regression="smooth_l1")),
-    Candidate("L2", loss=MultiTaskLoss(regression="l2")),
-    Candidate("ends from left to right", loss=MultiTaskLoss(error=ordered_error)),
+    Variant("fast"),
+    Variant("fast, another seed", seed=1),
+    Variant("one grid", loss=MultiTaskLoss(main_grid_only=True)),
+    Variant("cross entropy", loss=MultiTaskLoss(gamma=0.0)),
+    Variant("smooth L1", loss=MultiTaskLoss(regression="smooth_l1")),
+    Variant("L2", loss=MultiTaskLoss(regression="l2")),
+    Variant("ends from left to right", loss=MultiTaskLoss(error=ordered_error)),
 )
 CANDIDATES = {"networks": NETWORKS, "ablations": ABLATIONS}
 
@@ -114,7 +114,7 @@ class Row:
 
 def compare_all(
     comparison: Comparison,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[Variant],
     *,
     workers: int = 1,
     report: Callable[[str, int], None] = lambda _words, _step: None,
@@ -158,7 +158,7 @@ def results_of(comparison: Comparison) -> dict[str, Result]:
 
 
 def run_candidate(
-    comparison: Comparison, candidate: Candidate, report: Callable[[int], None] = lambda _step: None
+    comparison: Comparison, candidate: Variant, report: Callable[[int], None] = lambda _step: None
 ) -> Result:
     """Train and score one candidate, or give what is kept of it. `report` is told the step."""
     kept = results_of(comparison)
@@ -185,7 +185,7 @@ def run_candidate(
     return result
 
 
-def _trainer(comparison: Comparison, candidate: Candidate) -> Trainer:
+def _trainer(comparison: Comparison, candidate: Variant) -> Trainer:
     config = TrainConfig(
         preset=candidate.name,
         steps=comparison.steps,

@@ -43,7 +43,7 @@ class Cable:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class SceneLayout:
     """A scene before it is rendered; the rods are spacers, insulators, poles and towers."""
 
     camera: Camera
@@ -59,7 +59,7 @@ class Layout:
         return [self.camera.project(cable.hang.points(s)) for cable in self.cables]
 
 
-def lay_out(rng: Rng, size: int) -> Layout:
+def lay_out(rng: Rng, size: int) -> SceneLayout:
     """A random scene; sizes follow from how wide the cables are to be in the image."""
     radius_m, fov_deg = rng.uniform(0.006, 0.018), rng.uniform(18, 55)
     width_px = float(np.exp(rng.uniform(np.log(1.5), np.log(28))))
@@ -76,7 +76,7 @@ def lay_out(rng: Rng, size: int) -> Layout:
     rods += _structure(rng, seen_m)
     aperture_m = distance_m * rng.uniform(0.0005, 0.004)
     focus_m = distance_m * float(np.exp(rng.normal(0, 0.08)))
-    return Layout(camera, tuple(cables), tuple(rods), MARGIN * seen_m, aperture_m, focus_m)
+    return SceneLayout(camera, tuple(cables), tuple(rods), MARGIN * seen_m, aperture_m, focus_m)
 
 
 def _structure(rng: Rng, seen_m: float) -> list[Rod]:
@@ -145,7 +145,7 @@ def _material(rng: Rng, width_px: float) -> tuple[dict[str, Any], bool]:
     return {"type": "roughplastic", "diffuse_reflectance": diffuse, "alpha": 0.25}, False
 
 
-def render(layout: Layout, light: Path | None, rng: Rng, samples: int = SAMPLES) -> NDArray[np.uint8]:
+def render(layout: SceneLayout, light: Path | None, rng: Rng, samples: int = SAMPLES) -> NDArray[np.uint8]:
     """(H, W, 4) sRGB and alpha, not multiplied in, of a scene under an environment map or a sunny sky.
 
     Raises LSNetError when Mitsuba is not installed or cannot read the map.

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from lsnet.errors import LSNetError
+from lsnet.images import load_rgb
 from lsnet.synth import augment, dataset, scene
 from lsnet.synth.augment import PHOTOMETRIC, elastic
-from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool, cut_out, load_rgb, plain, vegetation
+from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool, cut_out, plain, vegetation
 from lsnet.synth.cables import Arc, Finish, draw_cable
 from lsnet.synth.clutter import borders, clutter, structures
 from lsnet.synth.dataset import SyntheticScenes

@@ -19,7 +19,7 @@ from lsnet.synth.dataset import Sample
 from lsnet.training import trainer as train
 from lsnet.training.checkpoints import load_checkpoint, save_checkpoint
 from lsnet.training.sources import TrainingData, export_run, open_sources
-from lsnet.training.trainer import Progress, TrainConfig, Trainer, learning_rate_at
+from lsnet.training.trainer import TrainConfig, Trainer, TrainingProgress, learning_rate_at
 from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
@@ -66,13 +66,13 @@ def _threads_restored() -> object:
     torch.set_num_threads(before)
 
 
-def quiet(_progress: Progress) -> None:
+def quiet(_progress: TrainingProgress) -> None:
     pass
 
 
 def test_a_tiny_set_is_learnt_by_heart(tmp_path: Path) -> None:
     config = replace(QUICK, steps=100, batch_size=4, validate_every=50, learning_rate=2e-2)
-    reports: list[Progress] = []
+    reports: list[TrainingProgress] = []
     trainer = Trainer(config, tmp_path / "run")
     before = trainer.validate(list(train.loader(Strokes(), range(4), config)))
     trainer.run(Strokes(), Strokes(), reports.append)
@@ -90,7 +90,7 @@ def test_a_killed_run_ends_with_the_weights_of_an_undisturbed_one(tmp_path: Path
     class Killed(Exception):  # noqa: N818
         pass
 
-    def kill_at_eight(progress: Progress) -> None:
+    def kill_at_eight(progress: TrainingProgress) -> None:
         if progress.step == 8:
             raise Killed
 

@@ -11,7 +11,7 @@ from lsnet import LSNetError
 from lsnet.evaluation.baselines.lengths import SCORE_LENGTH_PX
 from lsnet.evaluation.baselines.lsd import LSD
 from lsnet.evaluation.baselines.mlsd import MLSD, decode
-from lsnet.evaluation.report import open_finder
+from lsnet.evaluation.report import open_line_detector
 
 
 def test_lsd_finds_the_edges_of_a_band() -> None:
@@ -51,7 +51,7 @@ def test_files_that_are_no_network_are_one_line(tmp_path: Path) -> None:
             MLSD(tmp_path / name)
         assert "\n" not in str(error.value)
     with pytest.raises(LSNetError, match="no rival 'elsed'; give lsd"):
-        open_finder("fast", "torch", "elsed")
+        open_line_detector("fast", "torch", "elsed")
 
 
 def test_mlsd_finds_the_edges_of_a_band(data_dir: Path) -> None:

@@ -16,7 +16,7 @@ from nets import TINY
 from lsnet import LSNetError
 from lsnet.evaluation.compare import data as compare_data
 from lsnet.evaluation.compare.chart import Point, chart, pareto_front
-from lsnet.evaluation.compare.compare import CANDIDATES, Candidate, Comparison, compare_all, results_of
+from lsnet.evaluation.compare.compare import CANDIDATES, Comparison, Variant, compare_all, results_of
 from lsnet.evaluation.compare.data import Crops, draw_set
 from lsnet.evaluation.compare.table import table
 from lsnet.synth.backgrounds import BackgroundPool
@@ -72,7 +72,7 @@ def test_crops_move_the_lines_with_the_image() -> None:
 def test_what_has_a_result_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lsnet.evaluation.compare.compare.cpu_ms_of", lambda _network: {"torch": 1.5})
     comparison = Comparison(tmp_path, (), (write_masks(tmp_path / "masked"),), images=4, steps=2, crop=64)
-    first, second = Candidate("a", TINY), Candidate("b", replace(TINY, stage_blocks=2))
+    first, second = Variant("a", TINY), Variant("b", replace(TINY, stage_blocks=2))
     told: list[tuple[str, int]] = []
     rows = compare_all(comparison, (first,), workers=0)
     again = compare_all(comparison, (first, second), workers=0, report=lambda *words: told.append(words))
@@ -94,7 +94,7 @@ def test_what_has_a_result_is_not_run_again(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_candidates_are_told_apart_by_name_and_one_name_is_one_thing() -> None:
-    by_name: dict[str, Candidate] = {}
+    by_name: dict[str, Variant] = {}
     for candidates in CANDIDATES.values():
         assert len({c.name for c in candidates}) == len(candidates)
         for candidate in candidates:

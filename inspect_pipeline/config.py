@@ -1,4 +1,4 @@
-"""What a run was asked to do, and how that is written down: the options, their hash, the records of it."""
+"""Options of a run, their hash, and the records that a flight keeps of them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
+from inspect_pipeline.errors import DetectorError
 from inspect_pipeline.resources import app_version
 from inspect_pipeline.store.records import RESULT_VERSION, ModelRecord, RunRecord
 
@@ -26,11 +27,13 @@ ExecutorName = Literal["local", "ray"]  # where a batch has its workers
 
 @dataclass(frozen=True, slots=True)
 class PlacingOptions:
-    """What a recording does not say of where its frames were taken; None leaves to it what it says.
+    """Georeferencing inputs that the recording lacks; None uses what the recording has.
 
-    ground_alt_m: altitude of the ground as its positions count it. view_deg: from left to right of an image,
-    for cameras without calibration. wire_m: diameter of the conductors whose width is expected. terrain: a
-    model of how the ground rises and falls, else it is flat.
+    Attributes:
+        ground_alt_m: altitude of the ground, in the vertical datum of the recorded positions.
+        view_deg: horizontal field of view of cameras without calibration.
+        wire_m: diameter of the conductors, for the expected width of a wire in pixels.
+        terrain: elevation model (GeoTIFF and the like); by default the ground is flat.
     """
 
     ground_alt_m: float | None = None
@@ -41,13 +44,18 @@ class PlacingOptions:
 
 @dataclass(frozen=True, slots=True)
 class ProcessOptions:
-    """What to make of a recording.
+    """Options of `process`.
 
-    topics: the cameras, None for all; every: of each camera every N-th frame; start_ns <= log time < end_ns.
-    strict: refuse a damaged recording instead of processing the part that can be read.
-    force: process again what the store already has.
-    write: annotations to a copy of the recording, to a file of their own, or nowhere; schema: in which form.
-    placing: what is known of positions and lenses beside the recording.
+    Attributes:
+        topics: camera topics; None for all cameras.
+        every: process every N-th frame of each camera.
+        start_ns: first log time.
+        end_ns: log time of the end, not included.
+        strict: refuse a damaged recording instead of processing the part that can be read.
+        force: process again what the store already has.
+        write: write annotations to a copy of the recording, to a sidecar file of their own, or not at all.
+        schema: message format of the annotations.
+        placing: georeferencing inputs that the recording lacks.
     """
 
     topics: tuple[str, ...] | None = None
@@ -61,8 +69,21 @@ class ProcessOptions:
     placing: PlacingOptions = PlacingOptions()
 
 
+DEFAULT_OPTIONS = ProcessOptions()
+
+
+def load_detector() -> Detector:
+    """Load the detector with the shipped weights. Raises DetectorError."""
+    from lsnet import Detector, LSNetError  # noqa: PLC0415 - seconds to import
+
+    try:
+        return Detector.load()
+    except LSNetError as error:
+        raise DetectorError(str(error)) from error
+
+
 def start_run(detector: Detector, options: ProcessOptions) -> RunRecord:
-    """The record of a run that begins now. Its hash is the same whenever its results would be."""
+    """Return the record of a run that starts now; equal hashes mean equal results."""
     return start_described_run(detector.describe(), options, "process", {})
 
 
@@ -72,7 +93,7 @@ def start_described_run(
     command: Literal["process", "batch"],
     tags: Mapping[str, str],
 ) -> RunRecord:
-    """`start_run` with a detector that is in another process, by what it says about itself."""
+    """Return the record of a run whose detector, in another process, describes itself so."""
     config: dict[str, Any] = {
         "detector": dict(description),
         "topics": sorted(options.topics) if options.topics is not None else None,
@@ -97,18 +118,18 @@ def start_described_run(
 
 
 def _describe_placing(placing: PlacingOptions) -> dict[str, Any]:
-    """A terrain model is what is in it, wherever it lies; raises TerrainError."""
-    told = asdict(placing)
-    path = told.pop("terrain")
+    """Describe a terrain model by its content, not its path. Raises TerrainError."""
+    fields = asdict(placing)
+    path = fields.pop("terrain")
     if path is None:
-        return told
-    from inspect_pipeline.geometry.terrain import digest  # noqa: PLC0415 - loads much, and few need it
+        return fields
+    from inspect_pipeline.geometry.terrain import digest  # noqa: PLC0415 - slow to import, seldom needed
 
-    return told | {"terrain_sha256": digest(path)}
+    return fields | {"terrain_sha256": digest(path)}
 
 
 def model_record(detector: Detector) -> ModelRecord:
-    """The record of the weights that a detector runs."""
+    """Return the record of the weights of a detector."""
     description = detector.describe()
     fields: dict[str, Any] = {
         "name": str(description["weights"]),
@@ -120,7 +141,7 @@ def model_record(detector: Detector) -> ModelRecord:
 
 
 def run_metadata(flight_id: str, run: RunRecord, model: ModelRecord) -> dict[str, str]:
-    """The `lsnet_pipe.run` metadata of an annotated copy."""
+    """Return the `lsnet_pipe.run` metadata of an annotated copy."""
     return {
         "flight_id": flight_id,
         "app_version": run.app_version,

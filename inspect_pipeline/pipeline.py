@@ -1,127 +1,136 @@
-"""The one path: a recording in; annotations in a copy of it or beside it, and rows in the store out.
+"""The path of a recording: read, detect, track, write annotations and rows.
 
-recording ─ iter_frames ─ batches, decoded one ahead ─ detect ─┬─ annotated.mcap, or annotations.mcap
-                                                               └─ frames, segments, lines, tracks.parquet
+recording ── iter_frames ── detect_frames ── FlightTracker ──┬── annotated.mcap, or annotations.mcap
+                                                             └── frames, segments, lines, tracks.parquet
 """
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from inspect_pipeline.annotations.annotator import FrameAnnotator
-from inspect_pipeline.config import model_record, run_metadata
+from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
 from inspect_pipeline.georeference.frames import Georeferencer
 from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.recording.reader import RUN_METADATA, join_phrases, open_recording
+from inspect_pipeline.recording.reader import RUN_METADATA, open_recording
 from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
+from inspect_pipeline.store.store import Store
 from inspect_pipeline.tracking.flight import FlightTracker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
+    import os
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from inspect_pipeline.config import ProcessOptions
     from inspect_pipeline.recording.append import AnnotationWriter
-    from inspect_pipeline.recording.frames import RecordingIterator
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel, Frame
-    from inspect_pipeline.store.records import FlightTotals, ModelRecord, RunRecord
-    from inspect_pipeline.store.store import Store
+    from inspect_pipeline.store.records import RunRecord
+
+    Status = Literal["ok", "recovered", "failed"]
     from lsnet import Detections, Detector
 
-_FILES = {"copy": ANNOTATED, "sidecar": SIDECAR, "none": None}
+_ANNOTATION_FILES = {"copy": ANNOTATED, "sidecar": SIDECAR, "none": None}
 _BATCH_FRAMES = 8
 _BATCH_BYTES = 32 << 20  # of pixels; two batches are in memory at a time
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a recording is processed; `n_expected` is None where only the end will tell."""
+    """Number of frames done so far; `n_expected` is None where the recording does not state its counts."""
 
     n_frames: int
     n_expected: int | None
 
 
+class ProcessedFrame(NamedTuple):
+    """A frame with its quality and detections, both None where it could not be decoded."""
+
+    frame: Frame
+    quality: ImageQuality | None = None
+    detections: Detections | None = None
+    infer_ms: float | None = None
+
+
 def process(
-    path: Path,
-    store: Store,
-    detector: Detector,
-    options: ProcessOptions,
-    run: RunRecord,
+    path: str | os.PathLike[str],
+    store: Store | str | os.PathLike[str],
+    detector: Detector | None = None,
+    options: ProcessOptions = DEFAULT_OPTIONS,
+    run: RunRecord | None = None,
     *,
     on_progress: Callable[[Progress], object] = lambda _: None,
 ) -> ProcessResult:
-    """Find the segments of a recording and keep them in the store, whole or not at all.
+    """Detect the lines of a recording and write them to the store, completely or not at all.
 
-    `path` may be the folder of a split recording. An annotated copy is skipped, and so is a flight that the
-    store has by the same model and config. The index is left to `index.publish`. Raises RecordingError,
-    StoreError.
+    A recording that carries annotations of this program is skipped, and so is a flight that the store has
+    by the same model and options. `publish` brings the flight into the index.
+
+    Args:
+        path: an MCAP file, or the folder of a split recording.
+        store: the store, or its folder, which is created where it is missing.
+        detector: by default the shipped weights.
+        options: the cameras, frames and outputs.
+        run: the run that the flight belongs to; by default one of its own.
+        on_progress: called after every batch of frames.
+
+    Raises:
+        RecordingError: the recording cannot be read, or has no camera.
+        StoreError: the store cannot be written.
+        DetectorError: the shipped weights cannot be loaded.
     """
     started = time.monotonic()
+    path, store = Path(path), store if isinstance(store, Store) else Store(Path(store))
     recording = open_recording(path, strict=options.strict)
     if recording.is_annotated_copy:
         skipped = ProcessResult(recording.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
         return replace(skipped, reason="it is an annotated copy")
     cameras = recording.select_cameras(options.topics)
+    detector = detector or load_detector()
+    run = run or start_run(detector, options)
     known = store.load_flight(recording.flight_id)
     if known and known.run.config_sha256 == run.config_sha256 and not options.force:
         result = _to_result(known, path, store, started)
         return replace(result, status="skipped", reason=None, warnings=())
-    model = model_record(detector)
     with store.write_flight(recording.flight_id) as staging:
-        frames = iter_frames(
-            recording, cameras, every=options.every, start_ns=options.start_ns, end_ns=options.end_ns
-        )
-        seen = _look(frames, detector, on_progress, _expected_frames(cameras, options))
-        metadata = run_metadata(recording.flight_id, run, model)
-        written = _write(recording, cameras, staging.path, options, metadata=metadata, seen_frames=seen)
-        record = _to_record(
-            recording, cameras, options=options, run=run, model=model, written=written, frames=frames
+        record = _write_flight(
+            recording, cameras, detector, options, run, folder=staging.path, on_progress=on_progress
         )
         staging.commit(record)
     return _to_result(record, path, store, started)
 
 
-class _ProcessedFrame(NamedTuple):
-    """A frame with what was measured and found in it, None where it could not be decoded."""
-
-    frame: Frame
-    quality: ImageQuality | None
-    detections: Detections | None = None
-    infer_ms: float | None = None
-
-
-def _look(
-    frames: Iterable[Frame],
-    detector: Detector,
-    on_progress: Callable[[Progress], object],
-    n_expected: int | None,
-) -> Iterator[_ProcessedFrame]:
-    """Every frame with its detections."""
-    n_frames = 0
-    for batch in _one_ahead(_batched(frames)):
-        yield from _detect(detector, batch)
-        n_frames += len(batch)
-        on_progress(Progress(n_frames, n_expected))
+def detect_frames(frames: Iterable[Frame], detector: Detector) -> Iterator[ProcessedFrame]:
+    """Yield every frame with its detections; the next batch is decoded while one is detected."""
+    for batch in _one_ahead(_batches(frames)):
+        images = [each.frame.image for each in batch if each.frame.image is not None]
+        started = time.perf_counter()
+        found = iter(detector.detect(images) if images else [])
+        infer_ms = (time.perf_counter() - started) * 1e3 / max(len(images), 1)
+        for each in batch:
+            if each.frame.image is None:
+                yield each
+            else:
+                yield each._replace(detections=next(found), infer_ms=infer_ms)
 
 
-def _batched(frames: Iterable[Frame]) -> Iterator[list[_ProcessedFrame]]:
-    """Decoded frames with their quality, a few at a time: bounded in number and in bytes."""
-    batch: list[_ProcessedFrame] = []
+def _batches(frames: Iterable[Frame]) -> Iterator[list[ProcessedFrame]]:
+    """Group decoded frames with their quality, limited in number and in bytes."""
+    batch: list[ProcessedFrame] = []
     n_bytes = 0
     for frame in frames:
-        batch.append(
-            _ProcessedFrame(frame, measure_quality(frame.image) if frame.image is not None else None)
-        )
-        n_bytes += frame.image.nbytes if frame.image is not None else 0
+        batch.append(ProcessedFrame(frame, None if frame.image is None else measure_quality(frame.image)))
+        n_bytes += 0 if frame.image is None else frame.image.nbytes
         if len(batch) == _BATCH_FRAMES or n_bytes >= _BATCH_BYTES:
             yield batch
             batch, n_bytes = [], 0
@@ -129,8 +138,8 @@ def _batched(frames: Iterable[Frame]) -> Iterator[list[_ProcessedFrame]]:
         yield batch
 
 
-def _one_ahead(batches: Iterator[list[_ProcessedFrame]]) -> Iterator[list[_ProcessedFrame]]:
-    """The same batches, the next one made in a thread while the current one is used."""
+def _one_ahead(batches: Iterator[list[ProcessedFrame]]) -> Iterator[list[ProcessedFrame]]:
+    """Yield the same batches; a thread makes the next one while the current one is in use."""
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, batches, None)
         while (batch := coming.result()) is not None:
@@ -138,67 +147,74 @@ def _one_ahead(batches: Iterator[list[_ProcessedFrame]]) -> Iterator[list[_Proce
             yield batch
 
 
-def _detect(detector: Detector, batch: list[_ProcessedFrame]) -> list[_ProcessedFrame]:
-    """The batch with detections, at the mean time per image."""
-    images = [seen.frame.image for seen in batch if seen.frame.image is not None]
-    started = time.perf_counter()
-    found = iter(detector.detect(images) if images else [])
-    infer_ms = (time.perf_counter() - started) * 1e3 / max(len(images), 1)
-    return [
-        seen if seen.quality is None else seen._replace(detections=next(found), infer_ms=infer_ms)
-        for seen in batch
-    ]
-
-
-class _Written(NamedTuple):
-    """What was written of a flight, and what could not be read on the way."""
-
-    totals: FlightTotals
-    losses: tuple[str, ...]
-
-
-def _write(
+def _write_flight(
     recording: Recording,
-    cameras: tuple[CameraChannel, ...],
-    folder: Path,
+    cameras: Sequence[CameraChannel],
+    detector: Detector,
     options: ProcessOptions,
+    run: RunRecord,
     *,
-    metadata: dict[str, str],
-    seen_frames: Iterable[_ProcessedFrame],
-) -> _Written:
-    """Write every frame to annotations and to tables in `folder`."""
-    placer = Georeferencer.of(recording, cameras, options.placing)
+    folder: Path,
+    on_progress: Callable[[Progress], object],
+) -> FlightRecord:
+    """Detect and track the lines of every frame, and write annotations and tables into `folder`."""
+    model = model_record(detector)
+    georeferencer = Georeferencer.of(recording, cameras, options.placing)
+    tracker = FlightTracker()
+    frames = iter_frames(
+        recording, cameras, every=options.every, start_ns=options.start_ns, end_ns=options.end_ns
+    )
+    decoded = _DecodeCounts()
+    n_expected = _expected_frames(cameras, options)
     with (
-        _annotations(recording, folder, options) as out,
+        _annotation_writer(recording, folder, options) as out,
         FlightWriter(folder, recording.flight_id) as tables,
     ):
+        annotator = None
         if out:
-            out.add_metadata(RUN_METADATA, metadata)
-        annotator = FrameAnnotator(out, options.schema) if out else None
-        tracker = FlightTracker()
-        for seen in seen_frames:
+            out.add_metadata(RUN_METADATA, run_metadata(recording.flight_id, run, model))
+            annotator = FrameAnnotator(out, options.schema)
+        for n_frames, each in enumerate(detect_frames(frames, detector), 1):
+            pose = georeferencer.place(each.frame)
+            track_ids = tracker.follow(each.frame, each.detections.lines, pose) if each.detections else None
             if annotator:
-                annotator.write(seen.frame, seen.detections)
-            place = placer.place(seen.frame)
-            track_ids = tracker.follow(seen.frame, seen.detections.lines, place) if seen.detections else None
+                annotator.write(each.frame, each.detections)
             tables.add_frame(
-                seen.frame,
-                seen.detections,
+                each.frame,
+                each.detections,
                 track_ids,
-                infer_ms=seen.infer_ms,
-                sharpness=seen.quality.sharpness if seen.quality else None,
-                mean_luma=seen.quality.mean_luma if seen.quality else None,
-                place=place,
+                infer_ms=each.infer_ms,
+                sharpness=each.quality.sharpness if each.quality else None,
+                mean_luma=each.quality.mean_luma if each.quality else None,
+                place=pose,
             )
+            decoded.add(each.frame)
+            on_progress(Progress(n_frames, n_expected))
         totals = tables.finish(tracker.finish())
-    return _Written(totals, (*placer.poses.losses, *(out.losses if out else ())))
+    lost = (*recording.losses, *recording.identity.losses, *frames.losses, *georeferencer.poses.losses)
+    losses = tuple(dict.fromkeys((*lost, *(out.losses if out else ()))))
+    status: Status = "failed" if decoded.failures else "recovered" if losses else "ok"
+    return FlightRecord(
+        flight_id=recording.flight_id,
+        source_uri=recording.path.absolute().as_uri(),
+        source_bytes=recording.size_bytes,
+        status=status,
+        reason="; ".join((*decoded.failures, *losses)) or None,
+        warnings=(*recording.warnings, *frames.warnings, *decoded.warnings),
+        annotations=_ANNOTATION_FILES[options.write],
+        ingested_at=datetime.now(UTC),
+        run=run,
+        model=model,
+        channels=tuple(cameras),
+        totals=totals,
+    )
 
 
 @contextmanager
-def _annotations(
+def _annotation_writer(
     recording: Recording, folder: Path, options: ProcessOptions
 ) -> Iterator[AnnotationWriter | None]:
-    """Where annotations go: a copy of the recording, a file of their own, or nowhere."""
+    """Open what annotations are written to: a copy of the recording, a file of their own, or nothing."""
     if options.write == "copy":
         with annotated_copy(recording, folder / ANNOTATED) as out:
             yield out
@@ -211,38 +227,42 @@ def _annotations(
             yield None
 
 
-def _expected_frames(cameras: tuple[CameraChannel, ...], options: ProcessOptions) -> int | None:
+class _DecodeCounts:
+    """Counts the frames of each camera that could and could not be decoded."""
+
+    def __init__(self) -> None:
+        self._n_good: Counter[str] = Counter()
+        self._errors: dict[str, Counter[str]] = {}
+
+    def add(self, frame: Frame) -> None:
+        """Count a frame."""
+        if frame.error is None:
+            self._n_good[frame.topic] += 1
+        else:
+            self._errors.setdefault(frame.topic, Counter())[frame.error] += 1
+
+    @property
+    def failures(self) -> list[str]:
+        """One phrase for each camera of which no frame could be decoded."""
+        return [self._phrase(topic) for topic in self._errors if not self._n_good[topic]]
+
+    @property
+    def warnings(self) -> list[str]:
+        """One phrase for each other camera with frames that could not be decoded."""
+        return [self._phrase(topic) for topic in self._errors if self._n_good[topic]]
+
+    def _phrase(self, topic: str) -> str:
+        errors = self._errors[topic]
+        n_bad, (reason, n_alike) = errors.total(), errors.most_common(1)[0]
+        share = "" if n_alike == n_bad else f" ({n_alike} times)"
+        return f"{topic}: {n_bad} of {n_bad + self._n_good[topic]} frames cannot be decoded: {reason}{share}"
+
+
+def _expected_frames(cameras: Sequence[CameraChannel], options: ProcessOptions) -> int | None:
     counts = [camera.message_count for camera in cameras]
     if options.start_ns is not None or options.end_ns is not None:
         return None
     return sum(-(-count // options.every) for count in counts if count) if all(counts) else None
-
-
-def _to_record(
-    source: Recording,
-    cameras: tuple[CameraChannel, ...],
-    *,
-    options: ProcessOptions,
-    run: RunRecord,
-    model: ModelRecord,
-    written: _Written,
-    frames: RecordingIterator[Frame],
-) -> FlightRecord:
-    losses = dict.fromkeys((*source.losses, *source.identity.losses, *frames.losses, *written.losses))
-    return FlightRecord(
-        flight_id=source.flight_id,
-        source_uri=source.path.absolute().as_uri(),
-        source_bytes=source.size_bytes,
-        status="recovered" if losses else "ok",
-        reason=join_phrases(list(losses)) or None,
-        warnings=(*source.warnings, *frames.warnings),
-        annotations=_FILES[options.write],
-        ingested_at=datetime.now(UTC),
-        run=run,
-        model=model,
-        channels=cameras,
-        totals=written.totals,
-    )
 
 
 def _to_result(record: FlightRecord, path: Path, store: Store, started: float) -> ProcessResult:

@@ -80,7 +80,7 @@ class FlightRecord:
     flight_id: str
     source_uri: str
     source_bytes: int
-    status: Literal["ok", "recovered"]
+    status: Literal["ok", "recovered", "failed"]
     reason: str | None
     warnings: tuple[str, ...]
     annotations: str | None
@@ -133,7 +133,7 @@ class ProcessResult:
 
     flight_id: str
     source: str
-    status: Literal["ok", "skipped", "recovered"]
+    status: Literal["ok", "skipped", "recovered", "failed"]
     annotated: Path | None
     n_frames: int
     n_bad_frames: int

@@ -74,6 +74,7 @@ def test_a_bad_image_is_a_bad_frame(tmp_path: Path, store: Store) -> None:
     path = make_recording(tmp_path / "a.mcap", [Shot(2), broken, Shot(3, log_time_ns=START_NS + 2 * STEP_NS)])
     result = run(path, store)
     assert (result.status, result.n_frames, result.n_bad_frames, result.n_segments) == ("ok", 3, 1, 5)
+    assert "1 of 3 frames cannot be decoded" in result.warnings[0]
     ((status, reason, sharpness),) = rows(
         store, "SELECT status, reason, sharpness FROM frames WHERE frame_idx = 1"
     )
@@ -109,6 +110,24 @@ def test_another_model_or_config_replaces(
     assert result.status == "ok"
     assert rows(store, "SELECT count(*) FROM frames") == [(result.n_frames,)]
     assert rows(store, "SELECT count(*) FROM flights") == [(1,)]
+
+
+def test_a_camera_without_one_good_frame_is_a_failure(tmp_path: Path, store: Store) -> None:
+    """The other camera's frames are kept."""
+    images = (b"\xff\xd8\xffnothing", b"\xff\xd8\xffnothing", b"")
+    bad = [Shot(1, "/rear", START_NS + i * STEP_NS, data=data) for i, data in enumerate(images)]
+    result = run(make_recording(tmp_path / "a.mcap", [*shots(2), *bad]), store)
+    assert (result.status, result.n_frames, result.n_bad_frames) == ("failed", 5, 3)
+    assert result.reason.startswith("/rear: 3 of 3 frames cannot be decoded: ")
+    assert result.reason.endswith(" (2 times)")
+    assert rows(store, "SELECT status, count(*) FROM frames GROUP BY 1 ORDER BY 1") == [("bad", 3), ("ok", 2)]
+
+
+def test_no_detector_and_no_run_are_the_defaults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lsnet.Detector", FakeDetector)
+    path = make_recording(tmp_path / "a.mcap", shots(2))
+    assert process(str(path), str(tmp_path / "store")).status == "ok"
+    assert process(path, tmp_path / "store").status == "skipped"
 
 
 def test_a_damaged_result_is_made_again(tmp_path: Path, store: Store) -> None:

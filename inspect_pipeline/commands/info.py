@@ -42,9 +42,11 @@ def _describe(recording: Recording) -> Iterator[str]:
             where = f" from byte {part.start:,}" if part.start else ""
             yield f"  {part.path.name}{where}: {part.size_bytes:,} bytes"
     yield f"flight    {recording.flight_id}"
+    usual = recording.usual_times(recording.camera_channels)
+    start_ns, end_ns = max(recording.start_ns, usual.first_ns), min(recording.end_ns, usual.last_ns)
     if counts:
-        yield f"time      {_to_utc(recording.start_ns)} to {_to_utc(recording.end_ns)} UTC"
-        yield f"duration  {(recording.end_ns - recording.start_ns) / 1e9:.1f} s"
+        yield f"time      {_to_utc(start_ns)} to {_to_utc(end_ns)} UTC"
+        yield f"duration  {(end_ns - start_ns) / 1e9:.1f} s"
     yield f"profile   {recording.profile or 'none'}"
     yield f"channels  {len(recording.channels)}"
     for channel in recording.channels:
@@ -55,6 +57,8 @@ def _describe(recording: Recording) -> Iterator[str]:
         yield f"no camera {topic}: {reason}"
     for warning in recording.warnings:
         yield f"odd       {warning}"
+    if (start_ns, end_ns) != (recording.start_ns, recording.end_ns):
+        yield "odd       a few log times are far from all others: such images are set aside"
     for loss in (*recording.losses, *recording.identity.losses):
         yield f"damaged   {loss}"
     yield f"process   {_intention(recording)}"

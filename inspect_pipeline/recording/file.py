@@ -35,6 +35,7 @@ _CHUNK_HEAD = struct.Struct(
     "<QQQII"
 )  # start, end, uncompressed size, uncompressed crc, length of compression
 _MAX_COMPRESSION_NAME_BYTES = 32
+_MAX_TINY_RECORDS, _MIN_COMPRESSED_BYTES = 1000, 2  # of a chunk, and of each record beyond those
 
 
 class Damage(Exception):  # noqa: N818 - a fact about the file, turned into RecordingError by `recording`
@@ -183,7 +184,20 @@ def read_extent(file: RecordingFile, extent: Extent) -> bytes:
     records = _decompress(head.compression, data, head.uncompressed_size_bytes)
     if head.uncompressed_crc and zlib.crc32(records) != head.uncompressed_crc:
         raise Damage("a chunk does not match its CRC")
+    _check_number_of_records(records, head.data_size_bytes)
     return records
+
+
+def _check_number_of_records(records: bytes, n_compressed: int) -> None:
+    """Raise Damage for a chunk that makes a million messages of nothing: each takes time and rows.
+
+    Records differ in their times at least, so each takes some bytes even when compressed.
+    """
+    n_most = _MAX_TINY_RECORDS + n_compressed // _MIN_COMPRESSED_BYTES
+    if len(records) > n_most * RECORD_HEAD.size:
+        for i, _ in enumerate(iter_records(records)):
+            if i >= n_most:
+                raise Damage(f"a chunk of {n_compressed:,} bytes claims more than {n_most:,} records")
 
 
 def _decompress(compression: str, data: bytes, size_bytes: int) -> bytes:

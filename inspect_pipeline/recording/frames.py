@@ -11,8 +11,8 @@ from inspect_pipeline.images.decode import decode
 from inspect_pipeline.images.video import VideoDecoder
 from inspect_pipeline.messages.image import ImageError, ImageMessage, parse
 from inspect_pipeline.recording.file import Damage
-from inspect_pipeline.recording.layout import count_messages
 from inspect_pipeline.recording.merge import Message, PartExtent, merge_messages
+from inspect_pipeline.recording.part import count_messages
 from inspect_pipeline.recording.types import Frame
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ class RecordingIterator(Iterator[_T], Generic[_T]):
     warnings: what is odd about what was read so far but prevents nothing, one phrase each.
     """
 
-    def __init__(self, items: Iterator[_T], losses: Losses, stamps: StampCheck | None = None) -> None:
-        self._items, self._losses, self._stamps = items, losses, stamps
+    def __init__(self, items: Iterator[_T], losses: Losses, checks: FrameChecks | None = None) -> None:
+        self._items, self._losses, self._checks = items, losses, checks
 
     def __next__(self) -> _T:
         return next(self._items)
@@ -46,7 +46,7 @@ class RecordingIterator(Iterator[_T], Generic[_T]):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return tuple(self._stamps.warnings()) if self._stamps else ()
+        return tuple(self._checks.warnings()) if self._checks else ()
 
 
 def iter_frames(
@@ -58,6 +58,8 @@ def iter_frames(
     end_ns: int | None = None,
 ) -> RecordingIterator[Frame]:
     """Iterate over camera frames in log-time order, ties by position in the file.
+
+    Frames whose log times are outliers, such as 0, are set aside: counted in frame_idx and in the warnings.
 
     Args:
         recording: where to read.
@@ -73,15 +75,16 @@ def iter_frames(
     """
     if cameras is None:
         cameras = recording.select_cameras()
-    losses, stamps = Losses(recording), StampCheck()
-    frames = _iter_frames(recording, cameras, losses, every=every, start_ns=start_ns, end_ns=end_ns)
-    return RecordingIterator(stamps.checked(frames), losses, stamps)
+    losses, checks = Losses(recording), FrameChecks()
+    frames = _iter_frames(recording, cameras, losses, checks, every=every, start_ns=start_ns, end_ns=end_ns)
+    return RecordingIterator(checks.checked(frames), losses, checks)
 
 
 def _iter_frames(
     recording: Recording,
     cameras: Sequence[CameraChannel],
     losses: Losses,
+    checks: FrameChecks,
     *,
     every: int,
     start_ns: int | None,
@@ -92,13 +95,16 @@ def _iter_frames(
     extents = recording.extents(by_id)
     videos = {i: VideoDecoder() for i in by_id.keys() & recording.video_channel_ids}
     read_ns = 0 if videos else first_ns  # a video may begin long before its picture at `start_ns`
-    n_seen = _count_before(extents, read_ns, losses)
+    n_seen, usual = _count_before(extents, read_ns, losses), recording.usual_times(cameras)
     overlapping = [e for e in extents if e.extent.end_ns >= read_ns and e.extent.start_ns < last_ns]
     waiting = _Queue()
     for message in merge_messages(overlapping, frozenset(by_id), losses.add):
         frame_idx = n_seen[message.channel_id]
         n_seen[message.channel_id] += 1
         is_wanted = first_ns <= message.log_time_ns < last_ns and frame_idx % every == 0
+        if is_wanted and message.log_time_ns not in usual:
+            is_wanted = False
+            checks.set_aside(by_id[message.channel_id].topic)
         if is_wanted or message.channel_id in videos:
             frame = _Waiting(by_id[message.channel_id], frame_idx, message, videos)
             waiting.add(frame, is_wanted=is_wanted)
@@ -226,16 +232,24 @@ class _Queue:
             yield frame.to_frame()
 
 
-class StampCheck:
-    """Counts header stamps by which viewers cannot match annotations to images, per topic."""
+class FrameChecks:
+    """Counts what is odd about the times of frames, per topic.
 
-    _NO_STAMP = "images without a header stamp"
-    _REPEATED = "images with the header stamp of the one before"
-    _BACKWARDS = "images with a header stamp before that of the one before"
+    Viewers cannot match annotations to images by header stamps that are zero, repeated or out of order.
+    """
+
+    _ASIDE = "set aside: log times far from all others"
+    _NO_STAMP = "without a header stamp"
+    _REPEATED = "with the header stamp of the one before"
+    _BACKWARDS = "with a header stamp before that of the one before"
 
     def __init__(self) -> None:
         self._last_ns: dict[str, int] = {}
         self._counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+
+    def set_aside(self, topic: str) -> None:
+        """Count a frame that is not yielded because its log time is an outlier."""
+        self._counts[topic][self._ASIDE] += 1
 
     def checked(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """Iterate over the same frames, which must be in log-time order, and check each."""
@@ -257,4 +271,4 @@ class StampCheck:
         """Iterate over one phrase per kind and topic."""
         for topic, counts in sorted(self._counts.items()):
             for kind, count in counts.items():
-                yield f"{topic}: {count:,} {kind}"
+                yield f"{topic}: {count:,} {'image' if count == 1 else 'images'} {kind}"

@@ -11,21 +11,27 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from inspect_pipeline.recording.file import Damage, RecordingFile, opened, reading
-from inspect_pipeline.recording.layout import count_messages, read_layout
-from inspect_pipeline.recording.summary import MAGIC, load_record
+from inspect_pipeline.recording.file import RECORD_HEAD, Damage, RecordingFile, opened, read_extent, reading
+from inspect_pipeline.recording.layout import INDEX_HEAD, WrongIndexError, read_definitions, scan
+from inspect_pipeline.recording.summary import MAGIC, Summary, load_record, read_summary
 from inspect_pipeline.recording.types import ChannelSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.recording.file import Extent
     from inspect_pipeline.recording.layout import Layout
 
 _BLOCK_BYTES = 1 << 20
+_INDEX_ENTRY_BYTES = 16
 _ChannelKey = tuple[str, str, tuple[str, str, bytes] | None]
 
 
@@ -77,6 +83,48 @@ def _open_part(path: Path, file: RecordingFile) -> tuple[Part, int | None]:
     return Part(path, file.start, end, file_bytes, layout, metadata), following
 
 
+def read_layout(file: RecordingFile) -> Layout:
+    """Read the layout of an open MCAP file, however damaged. Raises Damage when it has no readable header."""
+    if file.read(0, min(len(MAGIC), file.size_bytes)) != MAGIC:
+        raise Damage("it is not an MCAP file" if file.size_bytes else "it is empty")
+    summary = read_summary(file)
+    try:
+        layout = scan(file, summary)
+    except WrongIndexError:
+        summary = Summary(loss="its summary does not match its data, which were scanned instead")
+        layout = scan(file, summary)
+    if summary.loss and not layout.losses:
+        layout.losses.append(summary.loss)
+    layout.schemas = summary.schemas | layout.schemas
+    layout.channels = summary.channels | layout.channels
+    layout.statistics = summary.statistics
+    _define_channels(file, layout)
+    return layout
+
+
+def _define_channels(file: RecordingFile, layout: Layout) -> None:
+    """Read the chunks that hold channels or schemas which neither the summary nor loose records define."""
+    for extent in layout.extents:
+        if extent.chunk is None or _is_defined(extent, layout):
+            continue
+        try:
+            extent.counts = read_definitions(read_extent(file, extent), layout.schemas, layout.channels)
+        except Damage as damage:
+            layout.losses.append(f"{damage} at byte {extent.offset:,}")
+
+
+def _is_defined(extent: Extent, layout: Layout) -> bool:
+    """Whether every channel of an extent is known, and the statistics count no more than are known."""
+    ids = extent.channel_ids
+    statistics = layout.statistics
+    if ids is None or not ids <= layout.channels.keys():
+        return False
+    if statistics and statistics.channel_count > len(layout.channels):
+        return False
+    schema_ids = {layout.channels[i].schema_id for i in ids} - {0}
+    return schema_ids <= layout.schemas.keys()
+
+
 def _skip_zeros(file: RecordingFile, at: int) -> int:
     """Return the offset of the first byte from `at` on that is not zero: some recorders pad."""
     while at < file.size_bytes:
@@ -98,6 +146,44 @@ def _read_metadata(file: RecordingFile, layout: Layout) -> dict[str, dict[str, s
             continue
         metadata[record.name] = record.metadata
     return metadata
+
+
+def count_messages(file: RecordingFile, extent: Extent) -> Counter[int]:
+    """Messages per channel id of an extent, by its message indexes where it has them. Raises Damage."""
+    if extent.counts is not None:
+        return Counter(extent.counts)
+    if extent.chunk is None or not extent.chunk.message_index_offsets:
+        return read_definitions(read_extent(file, extent), {}, {})
+    counts = Counter[int]()
+    for channel_id, offset in extent.chunk.message_index_offsets.items():
+        counts[channel_id] = _entries_bytes(file, offset) // _INDEX_ENTRY_BYTES
+    return counts
+
+
+def index_times(file: RecordingFile, extent: Extent, channel_ids: Iterable[int]) -> NDArray[np.uint64] | None:
+    """Return the log times of an extent's messages by its message indexes, None when it has none.
+
+    Raises Damage.
+    """
+    if extent.chunk is None or not extent.chunk.message_index_offsets:
+        return None
+    offsets = extent.chunk.message_index_offsets
+    indexes = [
+        file.read(at + RECORD_HEAD.size + INDEX_HEAD.size, _entries_bytes(file, at))
+        for at in (offsets[i] for i in channel_ids if i in offsets)
+    ]
+    return np.frombuffer(b"".join(indexes), "<u8")[::2]  # log time, offset, log time, offset, ...
+
+
+def _entries_bytes(file: RecordingFile, offset: int) -> int:
+    """Return the size of the entries of the Message Index record at `offset`. Raises Damage."""
+    opcode, length = file.record_head(offset)
+    if opcode != Opcode.MESSAGE_INDEX or length < INDEX_HEAD.size:
+        raise Damage("a message index is not where the summary says")
+    _, entries_bytes = INDEX_HEAD.unpack(file.read(offset + RECORD_HEAD.size, INDEX_HEAD.size))
+    if entries_bytes % _INDEX_ENTRY_BYTES or entries_bytes > length - INDEX_HEAD.size:
+        raise Damage("a message index has another size than it says")
+    return int(entries_bytes)
 
 
 def part_counts(part: Part) -> Counter[int]:

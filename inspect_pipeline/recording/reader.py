@@ -21,15 +21,17 @@ from typing import TYPE_CHECKING, NamedTuple
 from inspect_pipeline.errors import NoImagesError, RecordingError
 from inspect_pipeline.recording.cameras import find_cameras, is_image, to_camera
 from inspect_pipeline.recording.file import reading
+from inspect_pipeline.recording.log_times import usual_times
 from inspect_pipeline.recording.merge import PartExtent
 from inspect_pipeline.recording.part import number_channels, open_parts, part_counts, summarize_channels
 from inspect_pipeline.recording.split import find_parts
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from mcap.records import Channel, Schema
 
+    from inspect_pipeline.recording.log_times import TimeRange
     from inspect_pipeline.recording.part import Part
     from inspect_pipeline.recording.types import CameraChannel, ChannelSummary
 
@@ -171,12 +173,14 @@ class Recording:
 
     def definition(self, channel_id: int) -> tuple[Channel, Schema | None]:
         """Return the Channel and Schema records of a channel, with the ids they have in their part."""
-        for part in self.parts:
-            for id_of_part, i in part.ids.items():
-                if i == channel_id:
-                    channel = part.layout.channels[id_of_part]
-                    return channel, part.layout.schemas.get(channel.schema_id)
-        raise KeyError(channel_id)
+        part, id_of_part = self._first_parts[channel_id]
+        channel = part.layout.channels[id_of_part]
+        return channel, part.layout.schemas.get(channel.schema_id)
+
+    @cached_property
+    def _first_parts(self) -> Mapping[int, tuple[Part, int]]:
+        """By channel id: the first part that has the channel, and its id there."""
+        return {i: (part, of_part) for part in reversed(self.parts) for of_part, i in part.ids.items()}
 
     def schema_data(self, channel_id: int) -> bytes:
         """Return the schema of a channel as the file has it; empty when it has none."""
@@ -192,6 +196,11 @@ class Recording:
         )
         wanted = frozenset(channel_ids)
         return [each for each in found if (ids := each.channel_ids) is None or ids & wanted]
+
+    def usual_times(self, cameras: Iterable[CameraChannel]) -> TimeRange:
+        """Return the range of log times of some cameras without outliers. Raises RecordingError."""
+        ids = frozenset(camera.channel_id for camera in cameras)
+        return usual_times(self.extents(ids), ids)
 
     def message_counts(self) -> Counter[int]:
         """Count messages per channel id, reading chunks where neither statistics nor indexes say.

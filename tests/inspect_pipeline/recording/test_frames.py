@@ -1,11 +1,11 @@
 from __future__ import annotations
 
-from inspect_pipeline.recording.frames import StampCheck
+from inspect_pipeline.recording.frames import FrameChecks
 from inspect_pipeline.recording.types import Frame
 
 
 def warnings(*stamps: tuple[str, int]) -> list[str]:
-    check = StampCheck()
+    check = FrameChecks()
     for i, (topic, stamp_ns) in enumerate(stamps):
         check.check(Frame(1, topic, i, i, i, stamp_ns, "cam", None, "no image"))
     return list(check.warnings())
@@ -22,6 +22,6 @@ def test_stamps_by_which_images_are_not_told_apart() -> None:
         "/a: 2 images with the header stamp of the one before"
     ]
     assert warnings(("/b", 5), ("/b", 4), ("/a", 0), ("/b", 6)) == [
-        "/a: 1 images without a header stamp",
-        "/b: 1 images with a header stamp before that of the one before",
+        "/a: 1 image without a header stamp",
+        "/b: 1 image with a header stamp before that of the one before",
     ]

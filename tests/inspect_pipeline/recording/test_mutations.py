@@ -29,7 +29,7 @@ from inspect_pipeline.index import publish as index
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.append import annotated_copy
 from inspect_pipeline.recording.file import read_extent
-from inspect_pipeline.recording.frames import iter_frames
+from inspect_pipeline.recording.frames import iter_channel_messages, iter_frames
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.recording.summary import MAGIC
 from inspect_pipeline.recording.writer import new_recording
@@ -320,3 +320,31 @@ def test_why_nothing_can_be_read_is_in_the_error(tmp_path: Path, compression: st
     recording = open_recording(bomb(tmp_path, compression, len(records), records[1:]))
     with pytest.raises(RecordingError, match="no camera topic in the part that can be read; .*" + reason):
         recording.select_cameras()
+
+
+@pytest.mark.parametrize("record", [struct.pack("<BQHIQQ", 5, 22, 1, 0, 7, 7), struct.pack("<BQ", 0x80, 0)])
+def test_a_million_records_in_few_bytes_are_damage(tmp_path: Path, record: bytes) -> None:
+    records = whole_chunk(tmp_path) + record * 1_000_000
+    path = bomb(tmp_path, "zstd", len(records), zstandard.compress(records))
+    assert path.stat().st_size < 10_000
+    started = time.process_time()
+    with pytest.raises(RecordingError, match=r"a chunk of [\d,]+ bytes claims more than [\d,]+ records"):
+        open_recording(path).select_cameras()
+    assert time.process_time() - started < MAX_SECONDS
+
+
+def test_many_small_messages_are_no_damage(tmp_path: Path) -> None:
+    """As of a heartbeat: equal in all but their times, which take a few bytes even when compressed."""
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file, chunk_size=4 << 20)
+        writer.start()
+        channel_id = writer.register_channel("/heartbeat", "json", 0)
+        for i in range(30_000):
+            writer.add_message(
+                channel_id, factories.START_NS + i * 1000, b"{}", factories.START_NS + i * 1000
+            )
+        writer.finish()
+    recording = open_recording(tmp_path / "a.mcap")
+    messages = iter_channel_messages(recording, {channel_id})
+    assert len(list(messages)) == 30_000
+    assert messages.losses == ()

@@ -1,0 +1,66 @@
+"""Log times that are far from all others: 0 before a clock was set, or 2^64-1 from a faulty recorder.
+
+A few of them would stretch a flight to decades, so frames that have one are set aside.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from inspect_pipeline.recording.file import Damage
+from inspect_pipeline.recording.part import index_times
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from inspect_pipeline.recording.merge import PartExtent
+
+_MAX_GAP_NS = 30 * 86_400 * 10**9  # no flight pauses for longer
+_MIN_SHARE = 0.75  # of the messages; else it is not clear which times are the outliers
+
+
+class TimeRange(NamedTuple):
+    """Log times with first_ns <= t <= last_ns."""
+
+    first_ns: int = 0
+    last_ns: int = (1 << 64) - 1
+
+    def __contains__(self, time_ns: object) -> bool:
+        return isinstance(time_ns, int) and self.first_ns <= time_ns <= self.last_ns
+
+
+def usual_times(extents: Sequence[PartExtent], channel_ids: frozenset[int]) -> TimeRange:
+    """Return the range with most log times of some channels; everything when there are no outliers.
+
+    Messages are only looked at when the extents span more time than a flight can take.
+    """
+    starts, ends = ([getattr(e.extent, name) for e in extents] for name in ("start_ns", "end_ns"))
+    if not extents or max(ends) - min(starts) <= _MAX_GAP_NS:
+        return TimeRange()
+    times = np.sort(_all_times(extents, channel_ids))
+    gaps = np.flatnonzero(np.diff(times) > _MAX_GAP_NS) + 1
+    largest = max(np.split(times, gaps), key=len)
+    if len(largest) == len(times) or len(largest) < _MIN_SHARE * len(times):
+        return TimeRange()
+    return TimeRange(int(largest[0]), int(largest[-1]))
+
+
+def _all_times(extents: Iterable[PartExtent], channel_ids: frozenset[int]) -> NDArray[np.uint64]:
+    """Return the log times of all messages, from the message indexes where there are any."""
+    found = [np.zeros(0, np.uint64)]
+    for each in extents:
+        wanted = [i for i, number in each.part.ids.items() if number in channel_ids]
+        try:
+            with each.part.open() as file:
+                times = index_times(file, each.extent, wanted)
+            if times is None:
+                entries = each.entries(each.read(), channel_ids)
+                times = np.array([time_ns for time_ns, _, _ in entries], np.uint64)
+        except Damage:  # reported by whoever reads the messages
+            continue
+        found.append(times)
+    return np.concatenate(found)

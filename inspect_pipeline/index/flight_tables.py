@@ -54,7 +54,7 @@ INSERT INTO frames BY NAME
 SELECT $flight_id AS flight_id,
        * REPLACE (nullif(width, 0) AS width, nullif(height, 0) AS height,
                   {", ".join(f"if(isnan({name}), NULL, {name}) AS {name}" for name in NULLABLE_FLOATS)}),
-       if(reason IS NULL, 'ok', 'bad') AS status
+       CASE WHEN reason IS NULL THEN 'ok' WHEN width > 0 THEN 'doubtful' ELSE 'bad' END AS status
 FROM frame_rows
 """
 _INSERT_SEGMENTS = """
@@ -180,7 +180,9 @@ class FlightWriter:
         identity = (frame.channel_id, frame.frame_idx)
         times = (frame.log_time_ns, frame.stamp_ns)
         measures = (sharpness, mean_luma, infer_ms)
-        self._frames.append((*identity, *times, width, height, frame.error, *measures, n_segments, n_lines))
+        self._frames.append(
+            (*identity, *times, width, height, frame.error or frame.doubt, *measures, n_segments, n_lines)
+        )
         self._places.append(place)
         if detections and n_segments:
             line_of = detections.line_of

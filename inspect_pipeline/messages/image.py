@@ -1,12 +1,13 @@
-"""Image messages taken apart, whatever their schema and encoding.
+"""Image messages, parsed whatever their schema and encoding.
 
-One table, `_PARSERS`, lists what is read: Foxglove's CompressedImage, CompressedVideo and RawImage in
-protobuf, JSON, FlatBuffers and ROS 2, and CompressedImage and Image of sensor_msgs in ROS 1 and ROS 2.
+`_PARSERS` lists what is read: Foxglove's CompressedImage, CompressedVideo and RawImage in protobuf, JSON,
+FlatBuffers and CDR; CompressedImage and Image of sensor_msgs in ROS 1 and CDR; FFMPEGPacket in CDR.
 """
 
 from __future__ import annotations
 
 import base64
+import binascii
 import json
 import re
 from dataclasses import dataclass, replace
@@ -20,16 +21,25 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
 from inspect_pipeline.messages.errors import MALFORMED
 from inspect_pipeline.messages.flatbuffer import FlatbufferTable
+from inspect_pipeline.messages.names import type_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from inspect_pipeline.messages.cdr import SequentialReader
 
-_MAX_STAMP_NS = (1 << 63) - 1  # the year 2262; what is later, or before 1970, is no stamp
+_MAX_STAMP_NS = (1 << 63) - 1  # the year 2262; a later stamp, or one before 1970, is damage
 _VIDEO_START_CODES = (b"\0\0\0\1", b"\0\0\1")
-_VIDEO_FORMATS = re.compile(r"h\.?26[45]|hevc|avc|vp9|av1")
 _PICTURE_HEADS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF", b"GIF8", b"II*\0", b"MM\0*")  # JPEG, PNG, WebP, ...
+_ZSTD_HEAD = b"\x28\xb5\x2f\xfd"
+_CODEC_WORDS = {
+    "h264": re.compile(r"[hx]\.?264|avc"),
+    "hevc": re.compile(r"[hx]\.?265|hevc|hvc1|hev1"),
+    "vp8": re.compile(r"vp0?8"),
+    "vp9": re.compile(r"vp0?9"),
+    "av1": re.compile(r"av0?1"),
+}
+_IMAGE_TYPES = re.compile(r"(Image|Video|Packet)$")
 
 
 class ImageError(ValueError):
@@ -38,7 +48,7 @@ class ImageError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class RawLayout:
-    """How the pixels of a raw image lie in its data."""
+    """How the pixels of a raw image are arranged in its data."""
 
     height: int
     width: int
@@ -48,11 +58,16 @@ class RawLayout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageMessage:
-    """An image message taken apart.
+    """A parsed image message.
 
-    `encoding` is what the message calls it: a pixel encoding such as "bgr8" of a raw image, else a format
-    such as "jpeg" or "h264". `raw` is None when the image is compressed. `is_video` is set when it is one
-    of a video, which stands on those before it.
+    Attributes:
+        stamp_ns: the header stamp; 0 when it is missing or absurd.
+        frame_id: of the header.
+        encoding: as the message spells it: a pixel encoding such as "bgr8" of a raw image, else a format such
+            as "jpeg" or "h264".
+        data: the image.
+        raw: None when the image is compressed.
+        is_video: whether it is a packet of a video, which can only be decoded after those before it.
     """
 
     stamp_ns: int
@@ -65,12 +80,19 @@ class ImageMessage:
 
 def is_image(schema_name: str, message_encoding: str) -> bool:
     """Whether messages of this schema in this encoding are images that can be read."""
-    return (schema_name, message_encoding) in _PARSERS
+    return (type_name(schema_name), message_encoding) in _PARSERS
+
+
+def looks_like_image(schema_name: str) -> bool:
+    """Whether a schema is, by its name, one of images, readable or not."""
+    return bool(_IMAGE_TYPES.search(schema_name))
 
 
 def parse(schema_name: str, message_encoding: str, payload: memoryview) -> ImageMessage:
-    """Take an image message apart. Raises ImageError when it is malformed, KeyError when it is no image."""
-    parser = _PARSERS[schema_name, message_encoding]
+    """Parse an image message. Raises ImageError when it is malformed, KeyError when it is not an image."""
+    parser = _PARSERS[type_name(schema_name), message_encoding]
+    if payload[:4] == _ZSTD_HEAD:
+        raise ImageError("the message is compressed with zstd; decompress the recording: ros2 bag convert")
     try:
         message = parser(payload)
     except MALFORMED as error:
@@ -80,13 +102,27 @@ def parse(schema_name: str, message_encoding: str, payload: memoryview) -> Image
     return replace(message, is_video=message.raw is None and _is_video(schema_name, message))
 
 
+def is_picture(data: bytes | memoryview) -> bool:
+    """Whether data begin like an image file."""
+    return bytes(data[:4]).startswith(_PICTURE_HEADS)
+
+
+def codec_named(encoding: str) -> str | None:
+    """Return the video codec that a message names: h264, hevc, vp8, vp9, av1; None for other formats."""
+    name = encoding.lower()
+    return next((codec for codec, words in _CODEC_WORDS.items() if words.search(name)), None)
+
+
 def _is_video(schema_name: str, message: ImageMessage) -> bool:
-    """Whether a compressed image is a piece of video: its first bytes say so, or do not say otherwise."""
-    head = bytes(message.data[:4])
-    if head.startswith(_PICTURE_HEADS):
+    """Whether a compressed image is video: by its first bytes, else by its schema and format."""
+    if is_picture(message.data):
         return False
-    is_named = schema_name.endswith("Video") or _VIDEO_FORMATS.search(message.encoding.lower())
-    return head.startswith(_VIDEO_START_CODES) or bool(is_named)
+    is_video_schema = schema_name.endswith(("Video", "Packet"))
+    return (
+        bytes(message.data[:4]).startswith(_VIDEO_START_CODES)
+        or is_video_schema
+        or codec_named(message.encoding) is not None
+    )
 
 
 def _protobuf_compressed(payload: memoryview) -> ImageMessage:
@@ -108,26 +144,32 @@ def _protobuf_raw(payload: memoryview) -> ImageMessage:
 
 def _json_compressed(payload: memoryview) -> ImageMessage:
     fields: dict[str, Any] = json.loads(bytes(payload))
-    return ImageMessage(*_json_head(fields), str(fields.get("format", "")), _json_data(fields))
+    return ImageMessage(*_json_head(fields), str(fields.get("format", "")), _json_data(fields["data"]))
 
 
 def _json_raw(payload: memoryview) -> ImageMessage:
     fields: dict[str, Any] = json.loads(bytes(payload))
     layout = RawLayout(int(fields["height"]), int(fields["width"]), int(fields["step"]))
-    return ImageMessage(*_json_head(fields), str(fields["encoding"]), _json_data(fields), layout)
+    return ImageMessage(*_json_head(fields), str(fields["encoding"]), _json_data(fields["data"]), layout)
 
 
 def _json_head(fields: dict[str, Any]) -> tuple[int, str]:
-    frame_id = str(fields.get("frame_id", "")).encode(errors="replace").decode()  # \ud800 is no text
+    frame_id = str(fields.get("frame_id", "")).encode(errors="replace").decode()  # lone surrogates
     return _json_time_ns(fields.get("timestamp", {})), frame_id
 
 
-def _json_data(fields: dict[str, Any]) -> bytes:
-    return base64.b64decode(fields["data"], validate=True)
+def _json_data(text: Any) -> bytes:
+    """Decode base64: plain, with line ends, of the URL-safe alphabet, without padding, or as a data URL."""
+    try:
+        return base64.b64decode(text, validate=True)
+    except binascii.Error:
+        plain = "".join(text.removeprefix("data:").rpartition(",")[2].split()).rstrip("=")
+        plain += "=" * (-len(plain) % 4)
+        return base64.b64decode(plain.translate({ord("-"): "+", ord("_"): "/"}), validate=True)
 
 
 def _json_time_ns(time: Any) -> int:
-    """A time in JSON: {"sec", "nsec"} by Foxglove's JSON Schema, or an RFC 3339 string as in protobuf."""
+    """Parse a time in JSON: {"sec", "nsec"} as in Foxglove's JSON Schema, or RFC 3339 as in protobuf."""
     if isinstance(time, str):
         match = re.fullmatch(r"(.+?)(?:\.(\d{1,9}))?(Z|[+-]\d\d:\d\d)", time)
         if match is None:
@@ -162,38 +204,51 @@ def _ros_raw(reader: SequentialReader) -> ImageMessage:
     )
 
 
-def _foxglove_ros2_compressed(reader: SequentialReader) -> ImageMessage:
+def _ffmpeg_packet(reader: SequentialReader) -> ImageMessage:
+    """Parse the message of ffmpeg_image_transport, whose encoding is that of the encoder, such as libx264."""
+    stamp_ns, frame_id = reader.header()
+    for _ in ("width", "height"):
+        reader.uint32()
+    encoding = reader.string()
+    reader.number("Q")  # pts
+    for _ in ("flags", "is_bigendian"):
+        reader.uint8()
+    return ImageMessage(stamp_ns, frame_id, encoding, reader.blob())
+
+
+def _foxglove_cdr_compressed(reader: SequentialReader) -> ImageMessage:
     stamp_ns, frame_id, data = reader.time_ns(), reader.string(), reader.blob()
     return ImageMessage(stamp_ns, frame_id, reader.string(), data)
 
 
-def _foxglove_ros2_raw(reader: SequentialReader) -> ImageMessage:
+def _foxglove_cdr_raw(reader: SequentialReader) -> ImageMessage:
     stamp_ns, frame_id = reader.time_ns(), reader.string()
     width, height, encoding, step_bytes = reader.uint32(), reader.uint32(), reader.string(), reader.uint32()
     return ImageMessage(stamp_ns, frame_id, encoding, reader.blob(), RawLayout(height, width, step_bytes))
 
 
-def _by(
-    reader: type[SequentialReader], take: Callable[[SequentialReader], ImageMessage]
+def _with(
+    reader: type[SequentialReader], parse_fields: Callable[[SequentialReader], ImageMessage]
 ) -> Callable[[memoryview], ImageMessage]:
-    return lambda payload: take(reader(payload))
+    return lambda payload: parse_fields(reader(payload))
 
 
 _PARSERS: dict[tuple[str, str], Callable[[memoryview], ImageMessage]] = {
-    ("foxglove.CompressedImage", "protobuf"): _protobuf_compressed,
-    ("foxglove.CompressedImage", "json"): _json_compressed,
-    ("foxglove.CompressedImage", "flatbuffer"): _flatbuffer_compressed,
-    ("foxglove.CompressedVideo", "protobuf"): _protobuf_video,
-    ("foxglove.CompressedVideo", "json"): _json_compressed,
-    ("foxglove.CompressedVideo", "flatbuffer"): _flatbuffer_compressed,
-    ("foxglove.RawImage", "protobuf"): _protobuf_raw,
-    ("foxglove.RawImage", "json"): _json_raw,
-    ("foxglove.RawImage", "flatbuffer"): _flatbuffer_raw,
-    ("foxglove_msgs/msg/CompressedImage", "cdr"): _by(CdrReader, _foxglove_ros2_compressed),
-    ("foxglove_msgs/msg/CompressedVideo", "cdr"): _by(CdrReader, _foxglove_ros2_compressed),
-    ("foxglove_msgs/msg/RawImage", "cdr"): _by(CdrReader, _foxglove_ros2_raw),
-    ("sensor_msgs/msg/CompressedImage", "cdr"): _by(CdrReader, _ros_compressed),
-    ("sensor_msgs/msg/Image", "cdr"): _by(CdrReader, _ros_raw),
-    ("sensor_msgs/CompressedImage", "ros1"): _by(Ros1Reader, _ros_compressed),
-    ("sensor_msgs/Image", "ros1"): _by(Ros1Reader, _ros_raw),
+    ("foxglove/CompressedImage", "protobuf"): _protobuf_compressed,
+    ("foxglove/CompressedImage", "json"): _json_compressed,
+    ("foxglove/CompressedImage", "flatbuffer"): _flatbuffer_compressed,
+    ("foxglove/CompressedImage", "cdr"): _with(CdrReader, _foxglove_cdr_compressed),
+    ("foxglove/CompressedVideo", "protobuf"): _protobuf_video,
+    ("foxglove/CompressedVideo", "json"): _json_compressed,
+    ("foxglove/CompressedVideo", "flatbuffer"): _flatbuffer_compressed,
+    ("foxglove/CompressedVideo", "cdr"): _with(CdrReader, _foxglove_cdr_compressed),
+    ("foxglove/RawImage", "protobuf"): _protobuf_raw,
+    ("foxglove/RawImage", "json"): _json_raw,
+    ("foxglove/RawImage", "flatbuffer"): _flatbuffer_raw,
+    ("foxglove/RawImage", "cdr"): _with(CdrReader, _foxglove_cdr_raw),
+    ("sensor_msgs/CompressedImage", "cdr"): _with(CdrReader, _ros_compressed),
+    ("sensor_msgs/CompressedImage", "ros1"): _with(Ros1Reader, _ros_compressed),
+    ("sensor_msgs/Image", "cdr"): _with(CdrReader, _ros_raw),
+    ("sensor_msgs/Image", "ros1"): _with(Ros1Reader, _ros_raw),
+    ("ffmpeg_image_transport_msgs/FFMPEGPacket", "cdr"): _with(CdrReader, _ffmpeg_packet),
 }

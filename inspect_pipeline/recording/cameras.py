@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -93,7 +92,7 @@ def _camera_name(topic: str) -> str:
 def _refusal(channel: ChannelSummary, samples: Sequence[ImageMessage]) -> str | None:
     """Say why the images of a channel are not processed; None when one of the samples can be."""
     if not is_image(channel):
-        is_alike = re.search(r"(Image|Video)$", channel.schema_name)
+        is_alike = image_messages.looks_like_image(channel.schema_name)
         return f"{channel.schema_name} in {channel.message_encoding} is not read" if is_alike else None
     reasons = [refusal(image, channel.topic) for image in samples]
     return reasons[0] if all(reasons) and reasons else None

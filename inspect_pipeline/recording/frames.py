@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
+from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.images.decode import decode
+from inspect_pipeline.images.decode import ImageDecoder
 from inspect_pipeline.images.video import VideoDecoder
 from inspect_pipeline.messages.image import ImageError, ImageMessage, parse
 from inspect_pipeline.recording.file import Damage
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _MAX_WAITING_BYTES = 64 << 20  # of messages behind a picture that does not come out of its video
+_MAX_FIRST_IMAGES = 64  # of a camera, in which the range of its values is looked for
 _NEVER_NS = 1 << 64  # beyond every log time
 _MAX_TIME_NS = (1 << 63) - 1  # the year 2262; later ones are damage, and databases do not hold them
 
@@ -97,6 +100,7 @@ def _iter_frames(
     read_ns = 0 if videos else first_ns  # a video may begin long before its picture at `start_ns`
     n_seen, usual = _count_before(extents, read_ns, losses), recording.usual_times(cameras)
     overlapping = [e for e in extents if e.extent.end_ns >= read_ns and e.extent.start_ns < last_ns]
+    stills = {i: ImageDecoder(partial(_first_images, recording, camera)) for i, camera in by_id.items()}
     waiting = _Queue()
     for message in merge_messages(overlapping, frozenset(by_id), losses.add):
         frame_idx = n_seen[message.channel_id]
@@ -106,7 +110,7 @@ def _iter_frames(
             is_wanted = False
             checks.set_aside(by_id[message.channel_id].topic)
         if is_wanted or message.channel_id in videos:
-            frame = _Waiting(by_id[message.channel_id], frame_idx, message, videos)
+            frame = _Waiting(by_id[message.channel_id], frame_idx, message, stills, videos)
             waiting.add(frame, is_wanted=is_wanted)
         yield from waiting.settled()
     for video in videos.values():
@@ -124,6 +128,16 @@ def iter_channel_messages(recording: Recording, channel_ids: Collection[int]) ->
     losses = Losses(recording)
     extents = recording.extents(channel_ids) if channel_ids else []
     return RecordingIterator(merge_messages(extents, frozenset(channel_ids), losses.add), losses)
+
+
+def _first_images(recording: Recording, camera: CameraChannel) -> Iterator[ImageMessage]:
+    """Iterate over the first images of a camera; those that are malformed are skipped."""
+    messages = iter_channel_messages(recording, {camera.channel_id})
+    for message in islice(messages, _MAX_FIRST_IMAGES):
+        try:
+            yield parse(camera.schema_name, camera.message_encoding, message.data)
+        except ImageError:
+            continue
 
 
 class Losses:
@@ -160,11 +174,17 @@ class _Waiting:
     """A frame whose picture is decoded when its turn comes; one of a video may come out of it later."""
 
     def __init__(
-        self, camera: CameraChannel, frame_idx: int, message: Message, videos: dict[int, VideoDecoder]
+        self,
+        camera: CameraChannel,
+        frame_idx: int,
+        message: Message,
+        stills: dict[int, ImageDecoder],
+        videos: dict[int, VideoDecoder],
     ) -> None:
         self._camera, self._frame_idx, self._message = camera, frame_idx, message
         self._parsed: ImageMessage | None = None
         self._error: str | None = None
+        self._still = stills[camera.channel_id]
         self._video: VideoDecoder | None = None
         try:
             self._parsed = parse(camera.schema_name, camera.message_encoding, message.data)
@@ -190,10 +210,13 @@ class _Waiting:
 
     def to_frame(self) -> Frame:
         """Return the frame, with its picture or the reason why there is none."""
-        parsed, image, error = self._parsed, None, self._error
+        parsed, image, error, doubt = self._parsed, None, self._error, None
         if parsed:
             try:
-                image = self._video.take(self._frame_idx) if self._video else decode(parsed)
+                if self._video:
+                    image = self._video.take(self._frame_idx)
+                else:
+                    image, doubt = self._still.decode(parsed)
             except ImageError as reason:
                 error = str(reason)
         log_time_ns = min(self._message.log_time_ns, _MAX_TIME_NS)
@@ -207,6 +230,7 @@ class _Waiting:
             frame_id=parsed.frame_id if parsed else "",
             image=image,
             error=error,
+            doubt=doubt,
         )
 
 

@@ -38,7 +38,8 @@ class Frame:
 
     frame_idx counts every image message of the channel in log-time order, ties by file offset.
     stamp_ns is the image's own header stamp, log_time_ns and publish_time_ns are the message's.
-    image is uint8 (height, width, 3) RGB, or None with the reason in `error`.
+    image is uint8 (height, width, 3) RGB, or None with the reason in `error`. `doubt` is what is probably
+    wrong with an image that was decoded, such as damage that its decoder noticed.
     """
 
     channel_id: int
@@ -50,3 +51,4 @@ class Frame:
     frame_id: str
     image: ImageArray | None
     error: str | None = None
+    doubt: str | None = None

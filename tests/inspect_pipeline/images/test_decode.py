@@ -1,9 +1,9 @@
 from __future__ import annotations
 
-import json
 import resource
 import struct
 import zlib
+from contextlib import suppress
 from io import BytesIO
 from typing import Any
 
@@ -14,25 +14,20 @@ import pytest
 from factories import ENCODINGS, RAW_ENCODINGS, RawPixels, encoded_picture, make_recording, number_of, picture
 from PIL import Image
 
-from inspect_pipeline.images.decode import ImageError, ImageMessage, decode, is_image, parse, refusal
+from inspect_pipeline.images.decode import ImageDecoder, refusal
+from inspect_pipeline.messages.image import ImageError, ImageMessage, parse
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 
 STAMP_NS = 1_700_000_000_123_456_789
 
 
+def decode(image: ImageMessage) -> np.ndarray:
+    return ImageDecoder().decode(image).image
+
+
 def message(data: bytes, image_format: str = "jpeg") -> ImageMessage:
     return ImageMessage(0, "", image_format, data)
-
-
-@pytest.mark.parametrize("name", ENCODINGS)
-@pytest.mark.parametrize("frame_id", ["", "a", "camera_left", "längs"])
-def test_messages_are_taken_apart(name: str, frame_id: str) -> None:
-    how = ENCODINGS[name]
-    data = encoded_picture(7)
-    parsed = parse(how.schema_name, how.message_encoding, memoryview(how.encode(STAMP_NS, frame_id, data)))
-    assert (parsed.stamp_ns, parsed.frame_id, bytes(parsed.data)) == (STAMP_NS, frame_id, data)
-    assert is_image(how.schema_name, how.message_encoding)
 
 
 @pytest.mark.parametrize("name", ENCODINGS)
@@ -49,29 +44,8 @@ def test_every_truncation_of_a_message_is_an_image_error(name: str) -> None:
         assert length >= len(encoded_picture(7))
 
 
-def test_big_endian_cdr() -> None:
-    payload = factories.ros2_cdr(STAMP_NS, "cam", encoded_picture(7), little_endian=False)
-    parsed = parse("sensor_msgs/msg/CompressedImage", "cdr", memoryview(payload))
-    assert (parsed.stamp_ns, parsed.frame_id, bytes(parsed.data)) == (STAMP_NS, "cam", encoded_picture(7))
-
-
-@pytest.mark.parametrize(
-    ("timestamp", "stamp_ns"),
-    [
-        ({"sec": 12, "nsec": 34}, 12_000_000_034),
-        ("2023-11-14T22:13:20.123456789Z", STAMP_NS),
-        ("2023-11-15T00:13:20.123456789+02:00", STAMP_NS),
-        ("2023-11-14T22:13:20Z", 1_700_000_000_000_000_000),
-    ],
-)
-def test_json_timestamps(timestamp: object, stamp_ns: int) -> None:
-    fields = {"timestamp": timestamp, "data": ""}
-    parsed = parse("foxglove.CompressedImage", "json", memoryview(json.dumps(fields).encode()))
-    assert parsed.stamp_ns == stamp_ns
-
-
 @pytest.mark.parametrize("suffix", [".png", ".webp", ".bmp", ".tiff"])
-def test_the_first_bytes_tell_the_codec_and_colours_are_rgb(suffix: str) -> None:
+def test_the_first_bytes_decide_the_format_and_colours_are_rgb(suffix: str) -> None:
     options = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
     data = cv2.imencode(suffix, cv2.cvtColor(picture(9), cv2.COLOR_RGB2BGR), options)[1].tobytes()
     np.testing.assert_array_equal(decode(message(data, "nonsense")), picture(9))
@@ -155,6 +129,23 @@ def test_pixel_encodings_without_loss(padding: int, is_big_endian: bool) -> None
         np.testing.assert_array_equal(decode_raw(image), expected, err_msg=encoding)
 
 
+def test_spellings_of_pixel_encodings() -> None:
+    rgb = picture(77)
+    for encoding in ("BGR8", "bgr8 ", "8uc3"):
+        np.testing.assert_array_equal(decode_raw(raw(encoding, rgb[..., ::-1])), rgb, err_msg=encoding)
+
+
+@pytest.mark.parametrize("is_big_endian", [False, True])
+def test_16_bit_colours(is_big_endian: bool) -> None:
+    rgb = picture(77)
+    deep, alpha = rgb.astype(np.uint16) * 257, np.full((*rgb.shape[:2], 1), 9, np.uint16)
+    bgra = np.concatenate([deep[..., ::-1], alpha], -1)
+    cases = {"rgb16": deep, "bgr16": deep[..., ::-1], "16UC3": deep[..., ::-1], "bgra16": bgra, "16UC4": bgra}
+    for encoding, pixels in cases.items():
+        image = raw(encoding, pixels, is_big_endian=is_big_endian)
+        np.testing.assert_array_equal(decode_raw(image), rgb, err_msg=encoding)
+
+
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 @pytest.mark.parametrize("bits", [8, 16])
 def test_bayer_patterns_of_one_colour(pattern: str, bits: int) -> None:
@@ -166,27 +157,81 @@ def test_bayer_patterns_of_one_colour(pattern: str, bits: int) -> None:
     assert np.abs(decoded[2:-2, 2:-2].astype(int) - [200, 120, 40]).max() <= 1
 
 
-@pytest.mark.parametrize("encoding", ["yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12"])
-def test_yuv_of_one_colour(encoding: str) -> None:
-    y, u, v = 120, 90, 180  # by BT.601, limited range:
+YUV_422 = {"yuv422": "uyvy", "uyvy": "uyvy", "yuv422_yuy2": "yuyv", "yuyv": "yuyv", "YUY2": "yuyv"}
+YUV_420 = ("nv12", "nv21", "i420", "yuv420", "yv12")
+HALVES = ((120, 90, 180), (150, 140, 110))  # y, u, v of the upper and the lower half
+
+
+def rgb_of(y: int, u: int, v: int) -> list[float]:
+    """BT.601 in limited range."""
     luma = 1.164 * (y - 16)
-    rgb = [luma + 1.596 * (v - 128), luma - 0.813 * (v - 128) - 0.391 * (u - 128), luma + 2.018 * (u - 128)]
-    if encoding == "nv12":
-        chroma = np.tile(np.array([u, v], np.uint8), (4, 8))
-        pixels = np.concatenate([np.full((8, 16), y, np.uint8), chroma])
+    return [luma + 1.596 * (v - 128), luma - 0.813 * (v - 128) - 0.391 * (u - 128), luma + 2.018 * (u - 128)]
+
+
+def yuv_image(encoding: str, height: int, width: int, padding: int = 0) -> RawPixels:
+    """An image whose upper and lower half have one colour each, packed by hand; height is a multiple of 4."""
+    halves = [HALVES[0]] * (height // 2) + [HALVES[1]] * (height - height // 2)
+    shared = [halves[row] for row in range(0, height, 2)]  # colours of the rows of 4:2:0 chroma
+    n_pairs = (width + 1) // 2
+    if encoding in YUV_422:
+        order = [YUV_422[encoding][i] for i in range(4)]
+        of = [dict(zip("yuv", row, strict=True)) for row in halves]
+        rows = [bytes([one[c] for c in order] * n_pairs)[: 2 * width] for one in of]
+    elif encoding == "nv24":
+        rows = [bytes([y]) * width for y, _, _ in halves]
+        pairs = [bytes([u, v] * width) for _, u, v in halves]
+        rows += [half for row in pairs for half in (row[:width], row[width:])]
+    elif encoding in {"nv12", "nv21"}:
+        rows = [bytes([y]) * width for y, _, _ in halves]
+        rows += [bytes([u, v] if encoding == "nv12" else [v, u]) * n_pairs for _, u, v in shared]
     else:
-        pair = [u, y, v, y] if encoding in {"yuv422", "uyvy"} else [y, u, y, v]
-        pixels = np.tile(np.array(pair, np.uint8), (8, 8)).reshape(8, 16, 2)
-    decoded = decode_raw(raw(encoding, pixels, padding=4))
-    assert decoded.shape == (8, 16, 3)
-    assert np.abs(decoded.astype(float) - rgb).max() <= 3
+        planes = [[u for _, u, _ in shared], [v for _, _, v in shared]]
+        planes = planes[::-1] if encoding == "yv12" else planes
+        chroma = b"".join(bytes([value]) * n_pairs for plane in planes for value in plane)
+        rows = [bytes([y]) * width for y, _, _ in halves]
+        rows += [chroma[at : at + width] for at in range(0, len(chroma), width)]
+    step = max(len(row) for row in rows) + padding
+    return RawPixels(encoding, height, width, step, b"".join(row.ljust(step, b"M") for row in rows))
+
+
+@pytest.mark.parametrize("padding", [0, 4])
+@pytest.mark.parametrize("encoding", [*YUV_422, "nv12", "nv21", "nv24"])
+def test_yuv(encoding: str, padding: int) -> None:
+    check_halves(decode_raw(yuv_image(encoding, 8, 16, padding)))
+
+
+@pytest.mark.parametrize("encoding", YUV_420)
+def test_yuv_without_padding(encoding: str) -> None:
+    check_halves(decode_raw(yuv_image(encoding, 8, 16)))
+
+
+@pytest.mark.parametrize(("encoding", "size"), [("yuyv", (8, 15)), ("nv24", (8, 15))])
+def test_yuv_of_odd_width(encoding: str, size: tuple[int, int]) -> None:
+    image = decode_raw(yuv_image(encoding, *size))
+    assert image.shape == (*size, 3)
+    check_halves(image)
+
+
+@pytest.mark.parametrize("size", [(7, 16), (8, 15), (7, 15)])
+def test_nv12_of_odd_size(size: tuple[int, int]) -> None:
+    even = yuv_image("nv12", 8, 16)
+    rows = [even.data[i : i + 16] for i in range(0, len(even.data), 16)]
+    luma, chroma = rows[: size[0]], rows[8:]
+    image = decode_raw(even._replace(height=size[0], width=size[1], data=b"".join(luma + chroma)))
+    np.testing.assert_array_equal(image, decode_raw(even)[: size[0], : size[1]])
+
+
+def check_halves(image: np.ndarray) -> None:
+    half = len(image) // 2
+    assert np.abs(image[:half].astype(float) - rgb_of(*HALVES[0])).max() <= 3
+    assert np.abs(image[half:].astype(float) - rgb_of(*HALVES[1])).max() <= 3
 
 
 def test_a_raw_image_smaller_than_it_says_is_an_image_error() -> None:
     image = raw("rgb8", picture(1))
     for wrong in (
         image._replace(height=1000),
-        image._replace(step_bytes=3),
+        image._replace(step_bytes=3, data=image.data + b"?"),
         image._replace(width=0),
         image._replace(data=image.data[:-1]),
         image._replace(height=2**32 - 1, width=2**32 - 1),
@@ -196,7 +241,7 @@ def test_a_raw_image_smaller_than_it_says_is_an_image_error() -> None:
     np.testing.assert_array_equal(decode_raw(image._replace(step_bytes=0)), picture(1))
 
 
-def test_what_is_not_processed_and_why() -> None:
+def test_reasons_to_refuse_a_topic() -> None:
     def ros_image(encoding: str) -> ImageMessage:
         payload = factories.ros2_cdr(0, "", RawPixels(encoding, 1, 1, 4, b"1234"))
         return parse("sensor_msgs/msg/Image", "cdr", memoryview(payload))
@@ -247,17 +292,12 @@ def test_a_png_chunk_that_claims_absurd_size_takes_no_memory() -> None:
         decode(message(bytes(data)))
 
 
-def test_padding_behind_a_png_is_no_damage() -> None:
+def test_padding_after_a_png_is_ignored() -> None:
     assert number_of(decode(message(encoded_picture(7) + bytes(16), "png"))) == 7
 
 
-def test_a_frame_id_of_json_that_is_no_text_can_be_written() -> None:
-    payload = json.dumps({"frame_id": "a\ud800", "data": "", "format": "png"}).encode()
-    assert parse("foxglove.CompressedImage", "json", memoryview(payload)).frame_id == "a?"
-
-
-def test_a_damaged_png_is_found_quietly(capfd: pytest.CaptureFixture[str]) -> None:
-    """libpng would tell stderr."""
+def test_a_damaged_png_is_a_bad_frame_without_output(capfd: pytest.CaptureFixture[str]) -> None:
+    """libpng, as OpenCV uses it, prints to stderr."""
     whole = encoded_picture(1)
     for at in range(8, len(whole)):
         damaged = bytearray(whole)
@@ -267,8 +307,8 @@ def test_a_damaged_png_is_found_quietly(capfd: pytest.CaptureFixture[str]) -> No
     assert capfd.readouterr().err == ""
 
 
-def test_a_damaged_tiff_is_found_quietly(caplog: pytest.LogCaptureFixture) -> None:
-    """Pillow would tell its logger, which without another reader tells stderr."""
+def test_a_damaged_tiff_is_a_bad_frame_without_output(caplog: pytest.LogCaptureFixture) -> None:
+    """Pillow logs, and without a handler logging prints to stderr."""
     damaged = bytearray(encoded_picture(1, ".tiff"))
     at = damaged.index(struct.pack("<HHI", 277, 3, 1))  # samples per pixel
     damaged[at + 8] = 241
@@ -283,3 +323,99 @@ def test_video_is_known_by_its_first_bytes_and_is_no_image() -> None:
     assert parsed.is_video
     with pytest.raises(ImageError, match="video"):
         decode(parsed)
+
+
+def scene_jpeg(**options: Any) -> bytes:
+    """A JPEG with enough detail that a changed byte of its data is likely to be noticed."""
+    rng = np.random.default_rng(3)
+    file = BytesIO()
+    Image.fromarray(rng.integers(0, 255, (120, 160, 3), np.uint8)).save(file, "JPEG", quality=90, **options)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("change", ["no end", "zeros behind", "another behind", "zeros before"])
+def test_a_jpeg_that_is_whole_but_untidy(change: str) -> None:
+    data = scene_jpeg()
+    changed = {
+        "no end": data[:-2],
+        "zeros behind": data + bytes(5000),
+        "another behind": data + data,
+        "zeros before": b"\0\0" + data,
+    }[change]
+    decoded = ImageDecoder().decode(message(changed))
+    assert decoded.doubt is None
+    np.testing.assert_array_equal(decoded.image, decode(message(data)))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("ending", [b"", b"\xff\xd9", bytes(1000)])
+def test_a_cut_jpeg_is_an_image_error(share: float, ending: bytes) -> None:
+    data = scene_jpeg()
+    with pytest.raises(ImageError, match="cut off"):
+        decode(message(data[: int(len(data) * share)] + ending))
+
+
+def test_damaged_jpegs_are_doubtful_or_errors_without_output(capfd: pytest.CaptureFixture[str]) -> None:
+    data, rng = scene_jpeg(), np.random.default_rng(1)
+    outcomes = []
+    for _ in range(20):
+        damaged = bytearray(data)
+        for at in rng.integers(len(data) // 3, len(data) - 10, 30):
+            damaged[at] ^= 0x55
+        try:
+            outcomes.append(ImageDecoder().decode(message(bytes(damaged))).doubt)
+        except ImageError as reason:
+            outcomes.append(str(reason))
+    assert all(outcomes)
+    assert any("damaged: Corrupt JPEG data" in str(outcome) for outcome in outcomes)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_jpeg_of_other_colours() -> None:
+    """CMYK, as Pillow itself converts it."""
+    file = BytesIO()
+    Image.fromarray(picture(5)).convert("CMYK").save(file, "JPEG", quality=95)
+    expected = np.asarray(Image.open(BytesIO(file.getvalue())).convert("RGB"))
+    np.testing.assert_allclose(decode(message(file.getvalue())), expected, atol=1)
+
+
+def unusual_files() -> dict[str, bytes]:
+    """Files of formats and depths that no camera should send."""
+    grey, rgb = picture(3)[..., 0], picture(3)
+    files = {
+        "grey pfm": b"Pf\n4 4\n-1.0\n" + bytes(64),
+        "colour pfm": b"PF\n4 4\n-1.0\n" + bytes(192),
+        "pgm of 16 bits": b"P5 2 2 65535\n" + bytes(8),
+        "pam": b"P7\nWIDTH 14000\nHEIGHT 14000\nDEPTH 3\nMAXVAL 255\nTUPLTYPE RGB\nENDHDR\n" + bytes(100),
+        "postscript": b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\nshowpage\n",
+        "jxl": b"\xff\x0a" + bytes(40),
+        "float tiff": cv2.imencode(".tiff", grey.astype(np.float32))[1].tobytes(),
+        "double tiff": cv2.imencode(".tiff", grey.astype(np.float64))[1].tobytes(),
+        "tiff of 16-bit colours": cv2.imencode(".tiff", rgb.astype(np.uint16))[1].tobytes(),
+        "hdr": cv2.imencode(".hdr", rgb.astype(np.float32))[1].tobytes(),
+        "png of 16-bit colours": cv2.imencode(".png", rgb.astype(np.uint16) * 257)[1].tobytes(),
+    }
+    for mode in ("1", "L", "LA", "P", "RGBA", "I"):
+        file = BytesIO()
+        Image.fromarray(rgb).convert(mode).save(file, "TIFF")
+        files[f"{mode} tiff"] = file.getvalue()
+    return files
+
+
+@pytest.mark.parametrize(("name", "data"), unusual_files().items())
+def test_every_format_gives_rgb_or_an_image_error(
+    name: str, data: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with suppress(ImageError):
+        image = decode(message(data))
+        assert (image.dtype, image.ndim, image.shape[2]) == (np.uint8, 3, 3)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("depth", ["16UC1; png compressed ", "16UC1; jpeg compressed ", "32FC1; png"])
+def test_compressed_depth_is_no_camera(depth: str) -> None:
+    assert refusal(message(encoded_picture(1), depth), "/depth/image/compressed") == "it holds distances"
+
+
+def test_pictures_on_a_depth_topic_are_a_camera() -> None:
+    assert refusal(message(encoded_picture(1), "bgr8; png compressed "), "/depth/image/compressed") is None

@@ -15,7 +15,7 @@ KeyKind = Literal["none", "open", "closed"]
 
 _START_CODE = b"\0\0\0\1"
 _NAL_UNIT = re.compile(rb"\x00\x00\x01(?=([\s\S])([\s\S]?))")  # the first two bytes after a start code
-_H264_SEQUENCE, _H264_KEY = 7, 5
+_H264_SEQUENCE, _H264_KEY, _H264_TYPES = 7, 5, range(1, 13)
 _H264_PROFILES = frozenset({66, 77, 88, 100, 110, 118, 122, 128, 138, 139, 134, 135, 144, 244, 44, 83, 86})
 _H265_PARAMETERS = range(32, 35)  # VPS, SPS and PPS
 _H265_KEYS, _H265_CLOSED_KEYS = range(16, 24), range(16, 21)  # IRAP; of them BLA and IDR
@@ -32,7 +32,7 @@ def codec_of(data: bytes, encoding: str, known: str | None = None) -> str | None
         encoding: what the message calls it.
         known: the codec of the packets before it, which holds for one that does not say by itself.
     """
-    return _codec_of_units(data) or known or codec_named(encoding) or _codec_of_start(data, encoding)
+    return _codec_of_units(data) or known or codec_named(encoding) or _guess_codec(data)
 
 
 def _codec_of_units(data: bytes) -> str | None:
@@ -57,11 +57,11 @@ def _codec_of_nal_units(data: bytes) -> str | None:
     return None
 
 
-def _codec_of_start(data: bytes, encoding: str) -> str | None:
-    """Guess the codec of a packet without parameters and name: NAL units begin with a zero bit."""
+def _guess_codec(data: bytes) -> str | None:
+    """Guess the codec of a packet without parameters or a known name, until a key frame says."""
     unit = _NAL_UNIT.search(to_annex_b(data)[:8])
-    is_plausible = unit is not None and unit[1][0] < 0x80
-    return "h264" if is_plausible and not encoding else None
+    is_plausible = unit is not None and unit[1][0] < 0x80 and unit[1][0] & 31 in _H264_TYPES
+    return "h264" if is_plausible else None
 
 
 def to_annex_b(data: bytes) -> bytes:

@@ -7,6 +7,7 @@ import os
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import cv2
 import duckdb
 import numpy as np
 import pytest
@@ -79,7 +80,22 @@ def test_a_bad_image_is_a_bad_frame(tmp_path: Path, store: Store) -> None:
         store, "SELECT status, reason, sharpness FROM frames WHERE frame_idx = 1"
     )
     assert (status, sharpness) == ("bad", None)
-    assert "decoded" in reason
+    assert "not of a format" in reason
+
+
+def test_a_damaged_image_is_doubtful(tmp_path: Path, store: Store) -> None:
+    """It is processed, with the reason, and is not a bad frame."""
+    rng = np.random.default_rng(3)
+    damaged = bytearray(cv2.imencode(".jpg", rng.integers(0, 255, (120, 160, 3), np.uint8))[1].tobytes())
+    for at in rng.integers(len(damaged) // 2, len(damaged) - 10, 20):
+        damaged[at] ^= 0x55
+    to_write = [Shot(2), Shot(1, log_time_ns=START_NS + STEP_NS, data=bytes(damaged))]
+    result = run(make_recording(tmp_path / "a.mcap", to_write), store)
+    assert (result.status, result.n_frames, result.n_bad_frames) == ("ok", 2, 0)
+    found = rows(store, "SELECT status, reason, width, n_segments > 0 FROM frames ORDER BY frame_idx")
+    assert found[0][:2] == ("ok", None)
+    assert (found[1][0], found[1][2:]) == ("doubtful", (160, True))
+    assert "damaged: Corrupt JPEG data" in found[1][1]
 
 
 def test_done_is_not_done_again(tmp_path: Path, store: Store) -> None:

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from importlib.resources import files
 
 # Of the index, in order; a file that was released never changes.
-MIGRATIONS = ("0001_initial.sql", "0002_runs.sql", "0003_inspection.sql")
+MIGRATIONS = ("0001_initial.sql", "0002_runs.sql", "0003_inspection.sql", "0004_stills.sql")
 
 
 @cache  # every look-up parses the metadata of the package

@@ -126,7 +126,7 @@ def _write_photograph(author: RecordingAuthor, time_ns: int, path: Path, tags: P
             focal_px=(tags.focal_px, tags.focal_px),
             centre_px=(width / 2, height / 2),
         )
-    author.write_image(IMAGE_TOPIC, time_ns, _FRAME_ID, path.read_bytes(), "jpeg")
+    author.write_image(IMAGE_TOPIC, time_ns, _FRAME_ID, path.read_bytes(), "jpeg", is_photograph=True)
 
 
 def _write_pose(

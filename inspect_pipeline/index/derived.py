@@ -52,6 +52,7 @@ FROM frames
 WHERE flight_id = $flight_id AND channel_id = $channel_id
 ORDER BY frame_idx
 """
+_IS_STILLS = "SELECT is_stills FROM channels WHERE flight_id = $flight_id AND channel_id = $channel_id"
 _LINES = """
 SELECT frame_idx, coalesce(track_id, -1) AS track_id, n_points
 FROM lines
@@ -187,6 +188,7 @@ def _load_camera(connection: duckdb.DuckDBPyConnection, flight_id: str, channel_
     lines = connection.execute(_LINES, key).fetchnumpy()
     points = connection.execute(_POINTS, key).fetchnumpy()
     frames = FrameRows(**columns)
+    (is_stills,) = connection.execute(_IS_STILLS, key).fetchone() or (None,)
     return CameraRows(
         channel_id,
         frames,
@@ -196,6 +198,7 @@ def _load_camera(connection: duckdb.DuckDBPyConnection, flight_id: str, channel_
             first=np.concatenate(([0], np.cumsum(_plain(lines["n_points"])))).astype(np.int64),
             points=np.column_stack((_plain(points["x"]), _plain(points["y"]))).astype(np.float64),
         ),
+        is_stills=bool(is_stills),
     )
 
 

@@ -114,11 +114,15 @@ class LineRows:
 
 @dataclass(frozen=True)
 class CameraRows:
-    """The frames and lines of one camera of a flight."""
+    """The frames and lines of one camera of a flight.
+
+    is_stills: photographs, whose pauses, turns and stamps say nothing of a fault.
+    """
 
     channel_id: int
     frames: FrameRows
     lines: LineRows
+    is_stills: bool = False
 
 
 @dataclass(frozen=True)

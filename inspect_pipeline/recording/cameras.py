@@ -9,7 +9,7 @@ from inspect_pipeline.images.decode import refusal
 from inspect_pipeline.messages import image as image_messages
 from inspect_pipeline.messages.image import ImageError, parse
 from inspect_pipeline.recording.file import MESSAGE_HEAD, Damage, iter_messages, read_extent
-from inspect_pipeline.recording.types import CameraChannel
+from inspect_pipeline.recording.types import PHOTOGRAPHS, SOURCE_KEY, CameraChannel
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -78,6 +78,7 @@ def to_camera(channel: ChannelSummary) -> CameraChannel:
         schema_name=channel.schema_name,
         message_encoding=channel.message_encoding,
         message_count=channel.message_count,
+        is_stills=channel.metadata.get(SOURCE_KEY) == PHOTOGRAPHS,
     )
 
 

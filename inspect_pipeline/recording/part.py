@@ -238,6 +238,7 @@ def summarize_channels(parts: Sequence[Part]) -> tuple[ChannelSummary, ...]:
                 schema_encoding=schema.encoding if schema else "",
                 message_encoding=channel.message_encoding,
                 message_count=n,
+                metadata=channel.metadata,
             )
     return tuple(sorted(summaries.values(), key=lambda channel: (channel.topic, channel.channel_id)))
 

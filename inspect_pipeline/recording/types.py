@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from inspect_pipeline.arrays import ImageArray
+
+
+# In the metadata of an image channel: what `pack` made it of. Photographs are marked, because their times may
+# be whole seconds and their pauses and turns are meant.
+SOURCE_KEY, PHOTOGRAPHS = "lsnet_pipe.source", "photographs"
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelSummary:
-    """A channel of a recording. `message_count` is None when neither statistics nor indexes say."""
+    """A channel of a recording. `message_count` is None when neither statistics nor indexes say.
+
+    metadata: the key and value pairs of its Channel record.
+    """
 
     channel_id: int
     topic: str
@@ -19,6 +29,7 @@ class ChannelSummary:
     schema_encoding: str
     message_encoding: str
     message_count: int | None
+    metadata: Mapping[str, str] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +41,7 @@ class CameraChannel:
     schema_name: str
     message_encoding: str
     message_count: int | None  # None when the recording has no statistics
+    is_stills: bool = False  # photographs: no video, and their times may be whole seconds
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -16,6 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline.atomic import appearing
 from inspect_pipeline.messages.protobuf import file_descriptor_set
+from inspect_pipeline.recording.types import PHOTOGRAPHS, SOURCE_KEY
 from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
@@ -73,6 +75,7 @@ class RecordingAuthor:
         image_format: str,
         *,
         stamp_ns: int | None = None,
+        is_photograph: bool = False,
     ) -> None:
         """Append an encoded image as foxglove.CompressedImage; `image_format` is "jpeg", "png" or "webp".
 
@@ -80,7 +83,7 @@ class RecordingAuthor:
         """
         message = CompressedImage(frame_id=frame_id, data=data, format=image_format)
         message.timestamp.FromNanoseconds(time_ns if stamp_ns is None else stamp_ns)
-        self._write(topic, time_ns, message)
+        self._write(topic, time_ns, message, {SOURCE_KEY: PHOTOGRAPHS} if is_photograph else {})
 
     def write_video(self, topic: str, time_ns: int, frame_id: str, data: bytes, codec: str) -> None:
         """Append a picture of a video in Annex B as foxglove.CompressedVideo; `codec` is "h264" or "h265"."""
@@ -197,10 +200,15 @@ class RecordingAuthor:
             )
         self._writer.add_message(self._channel_ids[topic], time_ns, data, publish_time=time_ns)
 
-    def _write(self, topic: str, time_ns: int, message: Message) -> None:
+    def _write(
+        self, topic: str, time_ns: int, message: Message, metadata: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
+        """Append a message; `metadata` are those of its channel when it is new."""
         if topic not in self._channel_ids:
             schema_id = self._schema_id(message)
-            self._channel_ids[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
+            self._channel_ids[topic] = self._writer.register_channel(
+                topic, "protobuf", schema_id, dict(metadata)
+            )
         self._writer.add_message(
             self._channel_ids[topic], time_ns, message.SerializeToString(), publish_time=time_ns
         )

@@ -253,3 +253,14 @@ def test_real_photographs(
     latitudes_deg = read_poses(recording).positions.values[:, 0]
     assert np.abs(latitudes_deg - latitude_deg).max() < 0.01
     assert all(frame.image is not None for frame in iter_frames(recording, every=30))
+
+
+def test_photographs_are_marked_as_stills_and_videos_are_not(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    photograph(tmp_path / "photos" / "a.jpg", "2024:05:01 12:00:02")
+    make_video(tmp_path / "a.mp4")
+    (tmp_path / "a.srt").write_text(SRT)
+    for source, is_stills in (("photos", True), ("a.mp4", False)):
+        pack(tmp_path / source, tmp_path / f"{source}.mcap")
+        (camera,) = open_recording(tmp_path / f"{source}.mcap").camera_channels
+        assert camera.is_stills == is_stills

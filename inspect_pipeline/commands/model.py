@@ -195,7 +195,7 @@ def compare(
     steps: Annotated[int, typer.Option(min=1, help="Batches each is trained on.")] = 4000,
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
     chart: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw ODS against time as SVG.")
+        Path | None, typer.Option(metavar="FILE", help="Also draw ODS over time, .svg or .png (extra plot).")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -85,7 +85,7 @@ def batch(
         bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
     ] = False,
     write: WriteOption = "copy",
-    schema: SchemaOption = "protobuf",
+    schema: SchemaOption = "auto",
     ground_alt: GroundAltOption = None,
     dem: DemOption = None,
     view: ViewOption = None,

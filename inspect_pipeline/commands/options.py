@@ -66,7 +66,8 @@ WriteOption = Annotated[
     typer.Option(help="Annotations to a copy of the recording, a file of their own, or nowhere."),
 ]
 SchemaOption = Annotated[
-    SchemaName, typer.Option(help="Of the annotations: protobuf, or ROS 2 messages for those who play bags.")
+    SchemaName,
+    typer.Option(help="Format of the annotations; auto: ROS 2 messages in ROS 2 bags, else protobuf."),
 ]
 GroundAltOption = Annotated[
     float | None,

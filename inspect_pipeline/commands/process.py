@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
     from inspect_pipeline.errors import InspectError
     from inspect_pipeline.store.records import ProcessResult
 
+_VIEWER_NOTE = (
+    "note: viewers hide annotations at first; in the settings of the Image panel switch on the topics "
+    "that end in /lsnet/annotations (eye) and Sync annotations"
+)
 _ROW = (
     "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>12}  {n_segments:>10}  {seconds:>7}  {source}"
 )
@@ -56,7 +61,7 @@ def process(
         bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
     ] = False,
     write: WriteOption = "copy",
-    schema: SchemaOption = "protobuf",
+    schema: SchemaOption = "auto",
     force: Annotated[bool, typer.Option("--force", help="Process again what is in the store.")] = False,
     ground_alt: GroundAltOption = None,
     dem: DemOption = None,
@@ -131,6 +136,9 @@ def process(
     if results:
         index.publish(the_store)
     _print_results(results, as_json=as_json)
+    has_new_annotations = any(result.annotated and result.status != "skipped" for result in results)
+    if has_new_annotations and not as_json and sys.stderr.isatty():
+        typer.echo(_VIEWER_NOTE, err=True)
     raise typer.Exit(exit_code)
 
 

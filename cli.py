@@ -1,12 +1,12 @@
-"""The command line: mounts the commands of inspect_pipeline, and turns every error into one line."""
+"""The command line: mounts the commands of inspect_pipeline, and reports every error in one line."""
 
 from __future__ import annotations
 
-import signal
+import os
 import sys
 from importlib.metadata import version
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -30,18 +30,15 @@ from inspect_pipeline.commands import (
     simulate,
     spans,
 )
-from inspect_pipeline.commands.batch_log import printable
-from inspect_pipeline.errors import InspectError
-
-if TYPE_CHECKING:
-    from types import FrameType
+from inspect_pipeline.commands.interrupts import exit_if_stopped, install_handlers
+from inspect_pipeline.commands.output import report_error, report_usage
 
 app = typer.Typer(
     name="lsnet-pipe",
-    help="Find power lines in MCAP recordings, write them back as annotations, ask for them in SQL.",
+    help="Find power lines in MCAP recordings, write them back as annotations, and query them in SQL.",
     epilog="Example: lsnet-pipe process flight.mcap",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -82,39 +79,25 @@ def _before_command(
 
 
 def main() -> None:
-    """Run the command line; the exit code is that of the error or the signal that ended it."""
-    received: list[int] = []
-
-    def stop(signal_number: int, _frame: FrameType | None) -> None:
-        """End as after an error: what was begun is cleaned up on the way out."""
-        received.append(signal_number)
-        sys.exit(128 + signal_number)
-
-    for signal_number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(signal_number, stop)
+    """Run the command line and exit with the code of the error or the signal that ended it."""
+    install_handlers()
     if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need be no text
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text
     try:
-        app()
+        exit_code = app(standalone_mode=False)
+        sys.stdout.flush()
+    except SystemExit as stop:
+        exit_code = stop.code
+    except BrokenPipeError:  # the reader of stdout has seen enough, as in `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        exit_code = 0
     except Exception as error:
-        if received:  # DuckDB answers a stop amid a statement with an error of its own
-            sys.exit(128 + received[0])
-        message = _to_message(error)
-        if message is None:
+        exit_if_stopped()  # DuckDB turns a stop during a statement into an error of its own
+        exit_code = report_usage(error) or report_error(error)
+        if exit_code is None:
             raise
-        typer.echo(printable(f"error: {message}"), err=True)
-        sys.exit(getattr(error, "exit_code", 1))
-
-
-def _to_message(error: Exception) -> str | None:
-    """The line for an error that users can meet; None for a fault of the program."""
-    # lsnet is slow to import, and not needed to tell an error that it has not raised.
-    detector_error = getattr(sys.modules.get("lsnet"), "LSNetError", InspectError)
-    if isinstance(error, (InspectError, detector_error)):
-        return str(error)
-    if isinstance(error, OSError):  # what no command expects: a disk that fails, rights that change
-        return f"{error.filename or 'system'}: {error.strerror or error}; check the disk and its rights"
-    return None
+    exit_if_stopped()
+    sys.exit(exit_code)
 
 
 if __name__ == "__main__":

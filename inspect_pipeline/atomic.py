@@ -9,7 +9,7 @@ import os
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TextIO
 
-from inspect_pipeline.errors import StoreError
+from inspect_pipeline.errors import StoreWriteError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,29 +22,29 @@ _NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
 _EXPLANATIONS = {
     errno.ENOSPC: ("there is no space left on the device", "free some and run again"),
     errno.EDQUOT: ("the disk quota is used up", "free some space and run again"),
-    errno.EROFS: ("the file system is read-only", "give another folder with --store"),
-    errno.EACCES: ("permission denied", "check its owner and mode, or give another folder with --store"),
-    errno.EPERM: ("permission denied", "check its owner and mode, or give another folder with --store"),
-    errno.ENOTDIR: ("a file is where a folder should be", "move it away or give another folder with --store"),
-    errno.EEXIST: ("a file is where a folder should be", "move it away or give another folder with --store"),
+    errno.EROFS: ("the file system is read-only", "use another folder"),
+    errno.EACCES: ("permission denied", "check its owner and mode, or use another folder"),
+    errno.EPERM: ("permission denied", "check its owner and mode, or use another folder"),
+    errno.ENOTDIR: ("a file is where a folder should be", "move it away or use another folder"),
+    errno.EEXIST: ("a file is where a folder should be", "move it away or use another folder"),
 }
 OUT_OF_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 @contextmanager
 def store_errors(path: Path) -> Iterator[None]:
-    """Raise the OSErrors of a block as StoreErrors about `path`."""
+    """Raise the OSErrors of a block as StoreWriteErrors about `path`."""
     try:
         yield
     except OSError as error:
         raise explain_os_error(path, error) from error
 
 
-def explain_os_error(path: Path, error: OSError) -> StoreError:
-    """The StoreError about `path` that says what an OSError means and what to do."""
+def explain_os_error(path: Path, error: OSError) -> StoreWriteError:
+    """The StoreWriteError about `path` that says what an OSError means and what to do."""
     other = (error.strerror or str(error), "check the disk, then run again")
     problem, remedy = _EXPLANATIONS.get(error.errno or 0, other)
-    return StoreError(path, problem, remedy)
+    return StoreWriteError(path, problem, remedy)
 
 
 def fsync_path(path: Path) -> None:

@@ -15,14 +15,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator, message_format
+from inspect_pipeline.annotations.annotator import FrameAnnotator
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
+from inspect_pipeline.errors import EmptyResultError
 from inspect_pipeline.georeference.frames import Georeferencer
 from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.recording.reader import RUN_METADATA, join_phrases, open_recording
+from inspect_pipeline.recording.reader import RUN_METADATA, open_recording
 from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
 from inspect_pipeline.store.store import Store
 from inspect_pipeline.tracking.flight import FlightTracker
@@ -106,8 +107,18 @@ def process(
         record = _write_flight(
             recording, cameras, detector, options, run, folder=staging.path, on_progress=on_progress
         )
+        if known and not options.allow_empty:
+            _refuse_empty(path, known, record)
         staging.commit(record)
-    return _to_result(record, path, store, started)
+    result = _to_result(record, path, store, started)
+    return replace(result, n_frames_replaced=known.totals.n_frames if known else None)
+
+
+def _refuse_empty(path: Path, known: FlightRecord, record: FlightRecord) -> None:
+    """Raise EmptyResultError if the new record lacks decoded frames and the stored one has some."""
+    n_known, n_new = (each.totals.n_frames - each.totals.n_bad_frames for each in (known, record))
+    if n_known and not n_new:
+        raise EmptyResultError(path, record.flight_id, n_known)
 
 
 def detect_frames(frames: Iterable[Frame], detector: Detector) -> Iterator[ProcessedFrame]:
@@ -173,8 +184,7 @@ def _write_flight(
         annotator = None
         if out:
             out.add_metadata(RUN_METADATA, run_metadata(recording.flight_id, run, model))
-            schema = message_format(options.schema, recording.profile)
-            annotator = FrameAnnotator(out, schema, model.score_threshold)
+            annotator = FrameAnnotator(out, options.schema)
         for n_frames, each in enumerate(detect_frames(frames, detector), 1):
             pose = georeferencer.place(each.frame)
             track_ids = tracker.follow(each.frame, each.detections.lines, pose) if each.detections else None
@@ -200,13 +210,8 @@ def _write_flight(
         source_uri=recording.path.absolute().as_uri(),
         source_bytes=recording.size_bytes,
         status=status,
-        reason=join_phrases((*decoded.failures, *losses)) or None,
-        warnings=(
-            *recording.warnings,
-            *frames.warnings,
-            *decoded.warnings,
-            *_format_warnings(recording, options),
-        ),
+        reason="; ".join((*decoded.failures, *losses)) or None,
+        warnings=(*recording.warnings, *frames.warnings, *decoded.warnings),
         annotations=_ANNOTATION_FILES[options.write],
         ingested_at=datetime.now(UTC),
         run=run,
@@ -225,20 +230,12 @@ def _annotation_writer(
         with annotated_copy(recording, folder / ANNOTATED) as out:
             yield out
     elif options.write == "sidecar":
-        is_ros2 = message_format(options.schema, recording.profile) == "ros2msg"
-        profile = ROS2_PROFILE if is_ros2 else ""
+        profile = "ros2" if options.schema == "ros2msg" else ""
         with sidecar(recording, folder / SIDECAR, profile) as out:
             yield out
     else:
         with unchanged(recording):
             yield None
-
-
-def _format_warnings(recording: Recording, options: ProcessOptions) -> list[str]:
-    if options.write == "copy" and options.schema == "ros2msg" and recording.profile != ROS2_PROFILE:
-        profile = f"profile {recording.profile!r}" if recording.profile else "no profile"
-        return [f"players of ROS 2 bags do not open its annotated copy either: it has {profile}, not 'ros2'"]
-    return []
 
 
 class _DecodeCounts:
@@ -289,6 +286,7 @@ def _to_result(record: FlightRecord, path: Path, store: Store, started: float) -
         n_frames=record.totals.n_frames,
         n_bad_frames=record.totals.n_bad_frames,
         n_segments=record.totals.n_segments,
+        n_lines=record.totals.n_lines,
         seconds=round(time.monotonic() - started, 3),
         reason=record.reason,
         warnings=record.warnings,

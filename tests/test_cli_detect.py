@@ -85,8 +85,8 @@ def test_an_unreadable_image_is_one_line_and_the_others_are_done(capfd: pytest.C
     assert result.exit_code == 1
     assert [row["path"] for row in rows(result)] == ["a.png", "c.png"]
     first, second = result.stderr.splitlines()
-    assert first.startswith("error: bad.jpg: cannot be read as an image; ")
-    assert second.startswith("error: none.jpg: cannot be read as an image; ")
+    assert first == "error: none.jpg: there is no such file; check the name"
+    assert second.startswith("error: bad.jpg: cannot be read as an image; ")
     assert capfd.readouterr().err == ""  # nothing from the libraries beneath either
 
 
@@ -104,7 +104,8 @@ def test_a_photograph_that_is_cut_off(folder: Path, name: str, capfd: pytest.Cap
 @pytest.mark.usefixtures("folder")
 def test_without_json_a_sentence_an_image() -> None:
     (row,) = rows(detect("a.png", "--json"))
-    counts = f"{len(row['segments'])} segments, {len(row['lines'])} lines"
+    n_lines, n_segments = len(row["lines"]), len(row["segments"])
+    counts = f"{n_lines} line{'s' * (n_lines != 1)} of {n_segments} segment{'s' * (n_segments != 1)}"
     assert detect("a.png").stdout == f"a.png: 130x100, {counts}\n"
 
 

@@ -48,4 +48,4 @@ def write_metrics(path: Path, runs: list[RunSummary], n_quarantined: int) -> Non
         write_to_textfile(str(path), registry)
     except OSError as error:
         problem = f"the metrics cannot be written ({error.strerror})"
-        raise OutputError(path, problem, "give another file with --metrics") from error
+        raise OutputError(path, problem, "name another file") from error

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.batch.executor import POLL_S, START_S, Executor, Worker, signals_blocked
 from inspect_pipeline.batch.worker import Service, WorkerFailure
-from inspect_pipeline.errors import DetectorError
+from inspect_pipeline.errors import DetectorError, ExecutorError
 from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _import_ray() -> Any:
     try:
         import ray  # noqa: PLC0415 - takes a second, and few need it
     except ImportError as error:
-        raise DetectorError("Ray is not installed; pip install 'lsnet-pipe[ray]'") from error
+        raise ExecutorError("Ray is not installed; pip install 'lsnet-pipe[ray]'") from error
     return ray
 
 
@@ -183,8 +183,9 @@ def _initialise(ray: Any, options: Mapping[str, Any], folder: str, should_stop: 
             raise DetectorError(f"no Ray at {address}: stopped before") from error
         except Exception as error:  # Ray raises many kinds, also the plain one
             if not n_starts_left or should_stop():
-                remedy = "use --executor local" if address == "local" else "check RAY_ADDRESS"
-                raise DetectorError(f"no Ray at {address} ({_explain(error)}); {remedy}") from error
+                raise ExecutorError(
+                    f"no Ray at {address} ({_explain(error)}); check RAY_ADDRESS, or use local workers"
+                ) from error
         else:
             return
         _end_processes(folder)

@@ -223,6 +223,7 @@ class _Batch:
                 n_frames=result.n_frames,
                 n_bad_frames=result.n_bad_frames,
                 n_segments=result.n_segments,
+                n_lines=result.n_lines,
             )
         self._report(
             "recording done",
@@ -230,7 +231,9 @@ class _Batch:
             status=result.status,
             flight_id=result.flight_id,
             n_frames=result.n_frames,
+            n_bad_frames=result.n_bad_frames,
             n_segments=result.n_segments,
+            n_lines=result.n_lines,
             duration_s=result.seconds,
         )
         if not result.flight_id:

@@ -38,17 +38,20 @@ class DetectorFactory(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LoadDetector:
-    """Loads the detector that the options of the command line ask for."""
+    """Load the detector that the options of the batch ask for."""
 
     weights: str
     scale: float | None = None
     min_score: float | None = None
+    runtime: str = "auto"
 
     def __call__(self) -> Detector:
         from lsnet import Detector, LSNetError  # noqa: PLC0415 - the parent does without torch
 
         try:
-            return Detector.load(self.weights, scale=self.scale, min_score=self.min_score)
+            return Detector.load(
+                self.weights, runtime=self.runtime, scale=self.scale, min_score=self.min_score
+            )
         except LSNetError as error:
             raise DetectorError(str(error)) from error
 

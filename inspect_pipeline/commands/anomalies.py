@@ -2,86 +2,119 @@
 
 from __future__ import annotations
 
+import getpass
 import json
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inspect_pipeline.commands.batch_log import printable
-from inspect_pipeline.commands.flights import FlightOption
-from inspect_pipeline.commands.options import JsonOption, StoreOption
+from inspect_pipeline.commands.options import FlightOption, JsonOption, StoreOption, open_store
+from inspect_pipeline.commands.output import print_line, print_table
+from inspect_pipeline.commands.times import TimezoneOption, format_time
+
+if TYPE_CHECKING:
+    from datetime import tzinfo
 
 app = typer.Typer(
-    help="What is odd in flights: candidates with evidence, to be confirmed or dismissed by people.",
+    help="List and review anomalies: candidates with evidence.",
     epilog="Example: lsnet-pipe anomalies list",
     no_args_is_help=True,
 )
 
-_LIST = """
-SELECT * EXCLUDE (start_utc, end_utc, reviewed_at), start_utc::VARCHAR AS start_utc,
-       reviewed_at::VARCHAR AS reviewed_at
-FROM reviewed_anomalies
-WHERE (len(?) = 0 OR flight_id IN (SELECT unnest(?)))
-ORDER BY start_ns, anomaly_id
-"""
 
-
-class Verdict(StrEnum):
-    """What a person can say of an anomaly."""
+class Decision(StrEnum):
+    """The decision of a person about an anomaly; `open` takes an earlier one back."""
 
     confirmed = "confirmed"
     dismissed = "dismissed"
+    open = "open"
 
 
 @app.command("list")
 def list_anomalies(
     flight: FlightOption = None,
-    show_all: Annotated[bool, typer.Option("--all", help="Also those that were reviewed.")] = False,
+    show_all: Annotated[bool, typer.Option("--all", help="Include reviewed anomalies.")] = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
+    timezone: TimezoneOption = None,
 ) -> None:
-    """Show the anomalies that nobody has reviewed, with --all every one.
+    """List anomalies that are not reviewed yet.
 
-    Example: lsnet-pipe anomalies list --all --json
+    \b
+    Examples:
+      lsnet-pipe anomalies list
+      lsnet-pipe anomalies list --flight 42c8f628 --all --json
     """
-    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.index.anomalies import list_anomalies as select_anomalies
     from inspect_pipeline.index.flights import find_flights
-    from inspect_pipeline.store.store import Store, store_path
 
-    source = Store(store_path(store))
-    chosen = find_flights(source, flight) if flight else []
-    for row in index.select(source, _LIST, [chosen, chosen]):
-        if row["verdict"] != "open" and not show_all:
-            continue
-        if as_json:
+    source = open_store(store)
+    rows = select_anomalies(source, find_flights(source, flight) if flight else [])
+    shown = [row for row in rows if show_all or row["verdict"] == "open"]
+    if as_json:
+        for row in shown:
             typer.echo(json.dumps(row))
-        else:
-            verdict = "" if row["verdict"] == "open" else f"  [{row['verdict']}: {row['note']}]"
-            when = f"{row['start_utc'][:19]}  frames {row['first_frame_idx']}-{row['last_frame_idx']}"
-            told = f"{row['flight_id'][:16]}  {when}  {row['reason']}{verdict}"
-            typer.echo(f"{row['anomaly_id']}  {row['kind']:22}  {printable(told)}")
+        return
+    headers = ("anomaly_id", "kind", "flight_id", "start", "frames", "look_at", "place", "reason", "review")
+    empty = "no anomalies" if show_all or not rows else "no open anomalies; --all lists the reviewed ones"
+    print_table(headers, [_to_row(row, timezone) for row in shown], empty)
 
 
 @app.command()
 def mark(
-    anomaly_id: Annotated[str, typer.Argument(metavar="ID", help="As told by `anomalies list`.")],
-    verdict: Annotated[Verdict, typer.Argument(help="What you make of it.")],
-    note: Annotated[str, typer.Option(help="Why; kept with the review.")] = "",
+    anomaly_id: Annotated[str, typer.Argument(metavar="ID", help="An anomaly_id or the start of it.")],
+    decision: Annotated[Decision, typer.Argument(help="Your decision; open takes an earlier one back.")],
+    note: Annotated[str, typer.Option(metavar="TEXT", help="Why; kept with the review.")] = "",
+    by: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Who decides. Default: the user of this process.")
+    ] = None,
     store: StoreOption = None,
 ) -> None:
-    """Say what an anomaly is; kept in the store, and found again when the flight is processed again.
+    """Confirm or dismiss an anomaly.
 
-    Example: lsnet-pipe anomalies mark 0a1b2c3d4e5f dismissed --note "a bird"
+    Reviews are kept when the flight is processed again.
+
+    \b
+    Examples:
+      lsnet-pipe anomalies mark 0a1b2c dismissed --note "a bird"
+      lsnet-pipe anomalies mark 0a1b2c open --by kim
     """
-    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.index.anomalies import find_anomaly
+    from inspect_pipeline.index.publish import publish
     from inspect_pipeline.store.feedback import add_review
-    from inspect_pipeline.store.store import Store, store_path
 
-    target = Store(store_path(store))
-    rows = index.select(target, "SELECT * FROM anomalies WHERE anomaly_id = ?", [anomaly_id])
-    if not rows:
-        raise typer.BadParameter(f"{anomaly_id!r} is no anomaly; see lsnet-pipe anomalies list --all")
-    add_review(target, rows[0], verdict.value, note)
-    index.publish(target)
-    typer.echo(f"{anomaly_id} {verdict.value}")
+    target = open_store(store)
+    anomaly = find_anomaly(target, anomaly_id)
+    add_review(target, anomaly, decision.value, note, by or _user_name())
+    publish(target)
+    print_line(f"{anomaly['anomaly_id']} {decision.value}")
+
+
+def _user_name() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user id without a name, as in containers
+        return ""
+
+
+def _to_row(row: dict[str, Any], timezone: tzinfo | None) -> tuple[str | None, ...]:
+    where = [] if row["lat_deg"] is None else [f"{row['lat_deg']:.6f},{row['lon_deg']:.6f}"]
+    if row["span_id"]:
+        where.append(f"span {row['span_id']}")
+    review = None
+    if row["verdict"] != "open":
+        who = f" by {row['reviewed_by']}" if row["reviewed_by"] else ""
+        note = f": {row['note']}" if row["note"] else ""
+        review = f"{row['verdict']}{who}{note}"
+    return (
+        row["anomaly_id"],
+        row["kind"],
+        row["flight_id"][:16],
+        format_time(row["start_utc"], timezone),
+        f"{row['first_frame_idx']}-{row['last_frame_idx']}",
+        ",".join(map(str, row["evidence_frames"])),
+        " ".join(where) or None,
+        row["reason"],
+        review,
+    )

@@ -8,22 +8,29 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.batch_log import LogFormat, open_log, printable
+from inspect_pipeline.commands.batch_log import LogFormat, open_log
 from inspect_pipeline.commands.options import (
     DemOption,
+    EveryOption,
     GroundAltOption,
+    InboxArgument,
     MinScoreOption,
+    RuntimeOption,
     ScaleOption,
     SchemaOption,
     StoreOption,
+    StrictOption,
+    TopicOption,
     ViewOption,
     WeightsOption,
     WireOption,
     WriteOption,
     finite,
+    open_store,
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
+from inspect_pipeline.commands.output import count_of, print_line
 from inspect_pipeline.config import ExecutorName
 
 if TYPE_CHECKING:
@@ -33,27 +40,29 @@ if TYPE_CHECKING:
     from inspect_pipeline.store.store import Store
 
 
-_MAX_DAYS = 36_500.0  # nothing is older, and dates do not go back for ever
+_MAX_DAYS = 36_500.0  # dates do not go back for ever
 
 
 def _parse_tag(text: str) -> str:
     key, equals, value = text.partition("=")
     if not (key and equals and value):
-        raise typer.BadParameter(f"{text!r} is not like line=L12")
+        raise typer.BadParameter(f"{text!r} is not of the form KEY=VALUE, as in line=L12")
     return text
 
 
 def batch(
-    inbox: Annotated[
-        list[str], typer.Argument(metavar="INBOX...", help="Folders, recordings, or globs in quotes.")
-    ],
+    inbox: InboxArgument,
     store: StoreOption = None,
     config: ConfigOption = None,  # noqa: ARG001 - read by its callback
     since: Annotated[
         int | None,
-        typer.Option(parser=parse_time_ns, metavar="TIME", help="Only files changed since, ns or ISO 8601."),
+        typer.Option(
+            parser=parse_time_ns, metavar="TIME", help="Only files changed since then, in ns or ISO 8601."
+        ),
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be processed.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the recordings to process, and stop.")
+    ] = False,
     limit: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Process at most N recordings.")
     ] = None,
@@ -65,37 +74,34 @@ def batch(
     ] = 1,
     timeout: Annotated[
         float,
-        typer.Option(min=0.1, callback=finite, metavar="SECONDS", help="For one attempt at a recording."),
+        typer.Option(min=0.1, callback=finite, metavar="SECONDS", help="Time limit of one attempt."),
     ] = 3600.0,
     max_attempts: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Before a recording that kills its worker is given up.")
+        int,
+        typer.Option(min=1, metavar="N", help="Attempts at a recording that kills its worker or times out."),
     ] = 3,
     settle: Annotated[
         float,
         typer.Option(
-            min=0.0, callback=finite, metavar="SECONDS", help="Unchanged for so long, a file is written."
+            min=0.0, callback=finite, metavar="SECONDS", help="Skip files that changed within this time."
         ),
     ] = 10.0,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TOPIC", help="A camera topic, may be repeated; else all cameras."),
-    ] = None,
-    every: Annotated[int, typer.Option(min=1, metavar="N", help="Look at every N-th frame.")] = 1,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
-    ] = False,
+    topic: TopicOption = None,
+    every: EveryOption = 1,
+    strict: StrictOption = False,
     write: WriteOption = "copy",
-    schema: SchemaOption = "auto",
+    schema: SchemaOption = "protobuf",
     ground_alt: GroundAltOption = None,
     dem: DemOption = None,
     view: ViewOption = None,
     wire: WireOption = 22.0,
     weights: WeightsOption = "fast",
+    runtime: RuntimeOption = "auto",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
     tag: Annotated[
         list[str] | None,
-        typer.Option(parser=_parse_tag, metavar="KEY=VALUE", help="Kept with the run, may be repeated."),
+        typer.Option(parser=_parse_tag, metavar="KEY=VALUE", help="Tag of the run; may be repeated."),
     ] = None,
     keep_annotated: Annotated[
         float | None,
@@ -104,28 +110,30 @@ def batch(
             max=_MAX_DAYS,
             callback=finite,
             metavar="DAYS",
-            help="Remove annotated copies made longer ago.",
+            help="Remove annotated copies older than this.",
         ),
     ] = None,
     metrics: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write figures for Prometheus, as in lsnet.prom.")
+        Path | None, typer.Option(metavar="FILE", help="Write metrics for Prometheus, as in lsnet.prom.")
     ] = None,
     on_finish: Annotated[
-        str | None, typer.Option(metavar="CMD", help="Run this with the summary in JSON on its stdin.")
+        str | None, typer.Option(metavar="CMD", help="Run this with the summary as JSON on its stdin.")
     ] = None,
-    log_format: Annotated[
-        LogFormat, typer.Option(help="How to tell what happens, on stderr.")
-    ] = LogFormat.text,
+    log_format: Annotated[LogFormat, typer.Option(help="Format of the log on stderr.")] = LogFormat.text,
 ) -> None:
-    """Process every new recording of the inboxes; run it every night, and again after whatever stopped it.
+    """Process every new recording of inboxes.
 
-    Example: lsnet-pipe batch /data/inbox --store /data/inspections --tag line=L12
+    Run it every night, and again after whatever stopped it: it skips what is done.
+
+    \b
+    Examples:
+      lsnet-pipe batch /data/inbox --store /data/inspections
+      lsnet-pipe batch "/mnt/*/DCIM" --jobs 2 --tag line=L12
+      lsnet-pipe batch /data/inbox --dry-run
     """
-    from inspect_pipeline.store.store import Store, store_path
-
-    the_store = Store(store_path(store))
+    the_store = open_store(store, create=True)
     if not dry_run:
-        with the_store.batch_lock():  # a second batch ends here, before what is slow to import
+        with the_store.batch_lock():  # a second batch ends here, before the slow imports
             pass
 
     from inspect_pipeline.batch.run import BatchOptions
@@ -140,7 +148,7 @@ def batch(
         schema=schema,
         placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
     )
-    job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score))
+    job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score, runtime))
     options = BatchOptions(
         inboxes=tuple(inbox),
         since_ns=since or 0,
@@ -165,7 +173,7 @@ def _print_plan(store: Store, job: Job, options: BatchOptions, report: BatchRepo
     from inspect_pipeline.batch.run import plan_batch
 
     for candidate in plan_batch(store, job, options, report):
-        typer.echo(printable(os.fspath(candidate.path)))
+        print_line(os.fspath(candidate.path))
 
 
 def _run(
@@ -177,7 +185,7 @@ def _run(
     metrics: Path | None,
     on_finish: str | None,
 ) -> int:
-    """Run a batch and tell everybody who asked; the exit code."""
+    """Run a batch, report its end, and return the exit code."""
     from inspect_pipeline.batch.run import run_batch
     from inspect_pipeline.batch.stop_request import stop_on_signals
     from inspect_pipeline.store.runs import notify
@@ -200,8 +208,12 @@ def _run(
 def _print_summary(summary: RunSummary) -> None:
     counts = summary.counts
     n_given_up = counts.n_quarantined + counts.n_in_quarantine
-    typer.echo(
-        f"{counts.n_found} recordings: {counts.n_processed} processed, {counts.n_skipped} done before,"
-        f" {n_given_up} in quarantine, {counts.n_waiting} still being written, {counts.n_left} left;"
-        f" {counts.n_frames} frames, {counts.n_segments} segments, {summary.duration_s:.1f} s"
+    bad = f" ({counts.n_bad_frames:,} bad)" if counts.n_bad_frames else ""
+    failed = f" {counts.n_failed:,} failed," if counts.n_failed else ""
+    print_line(
+        f"{count_of(counts.n_found, 'recording')}: {counts.n_processed:,} processed,"
+        f" {counts.n_skipped:,} done before,{failed} {n_given_up:,} in quarantine,"
+        f" {counts.n_waiting:,} still being written, {counts.n_left:,} left;"
+        f" {count_of(counts.n_frames, 'frame')}{bad}, {count_of(counts.n_lines, 'line')},"
+        f" {summary.duration_s:.1f} s"
     )

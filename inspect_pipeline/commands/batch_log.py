@@ -1,4 +1,4 @@
-"""How `batch` tells what happens, on stderr: lines and a bar for people, or JSON for machines."""
+"""The log of `batch` on stderr: lines and a progress bar for people, or JSON for machines."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from inspect_pipeline.commands.output import count_of
 from inspect_pipeline.commands.progress import progress_bar
+from inspect_pipeline.errors import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,18 +21,18 @@ if TYPE_CHECKING:
     from inspect_pipeline.commands.progress import Advance
 
 _LINES = {
-    "batch started": "{n_found} recordings in the inbox, {n_due} to look at",
-    "recording done": "{path}: {status}, {n_frames} frames, {n_segments} segments, {duration_s:.1f} s",
+    "batch started": "{n_found} in the inbox, {n_due} to process",
+    "recording done": "{path}: {status}, {frames}, {lines}, {duration_s:.1f} s",
     "recording damaged": "{path}: damaged: {reason}",
     "recording odd": "{path}: {warning}",
     "recording without images skipped": "{path}: skipped: {reason}",
     "recording quarantined": "{path}: in quarantine after attempt {attempts}, {reason}: {detail}",
     "recording changed while it was read": "{path}: changed while it was read, left for the next run",
     "recording still being written": "{path}: still being written, left for the next run",
-    "link out of the inbox left alone": "{path}: leads out of the inbox, left alone",
-    "folder of the inbox cannot be read": "{path}: cannot be read, left alone; check its rights",
+    "link out of the inbox left alone": "{path}: skipped, it links out of the inbox",
+    "folder of the inbox cannot be read": "{path}: skipped, it cannot be read; check the permissions",
     "annotated copy removed": "annotated copy of flight {flight_id:.16} removed",
-    "index published": "index published, {n_flights} flights",
+    "index published": "index published, {flights}",
 }
 _ENDS = ("recording done", "recording quarantined", "recording changed while it was read")
 _PROBLEMS = (
@@ -43,20 +45,15 @@ _PROBLEMS = (
 
 
 class LogFormat(StrEnum):
-    """What `--log-format` takes."""
+    """Values of `--log-format`."""
 
     text = "text"
     json = "json"
 
 
-def printable(text: str) -> str:
-    """The text in one line that does nothing to a terminal; file and topic names may hold anything."""
-    return "".join(c if c.isprintable() else "?" for c in text)
-
-
 @contextmanager
 def open_log(log_format: LogFormat) -> Iterator[BatchReport]:
-    """A function to tell events to."""
+    """Open a function that logs events."""
     if log_format is LogFormat.json:
         yield _log_json
     else:
@@ -81,10 +78,21 @@ class _TextLog:
             self._advance(completed=0, total=int(str(fields["n_due"])))
         elif event in _ENDS:
             self._advance()
-        if event == "batch finished":
-            line = f"error: {fields['error']}" if fields["error"] else ""
-        else:
-            detail = str(fields.get("detail", "")).strip().splitlines()
-            line = _LINES[event].format_map(fields | {"detail": detail[-1] if detail else ""})
+        line = _describe(event, fields)
         if line:
             typer.echo(printable(line), err=True)
+
+
+def _describe(event: str, fields: dict[str, object]) -> str:
+    if event == "batch finished":
+        return f"error: {fields['error']}" if fields["error"] else ""
+    texts = dict(fields)
+    for name, noun in (("n_flights", "flight"), ("n_lines", "line"), ("n_found", "recording")):
+        if name in fields:
+            texts[f"{noun}s"] = texts[name] = count_of(int(str(fields[name])), noun)
+    if event == "recording done":
+        bad = int(str(fields["n_bad_frames"]))
+        frames = count_of(int(str(fields["n_frames"])), "frame")
+        texts["frames"] = f"{frames} ({bad:,} bad)" if bad else frames
+    detail = str(fields.get("detail", "")).strip().splitlines()
+    return _LINES[event].format_map(texts | {"detail": detail[-1] if detail else ""})

@@ -9,9 +9,8 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.batch_log import printable
-from inspect_pipeline.commands.flights import FlightOption
-from inspect_pipeline.commands.options import JsonOption, StoreOption
+from inspect_pipeline.commands.options import FlightOption, JsonOption, StoreOption, open_store
+from inspect_pipeline.commands.output import count_of, print_table
 
 _FAILED = 4
 
@@ -19,34 +18,34 @@ _FAILED = 4
 def check(
     flight: FlightOption = None,
     rules: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Thresholds in TOML; else those of the store.")
+        Path | None, typer.Option(metavar="FILE", help="Thresholds in TOML. Default: those of the store.")
     ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fail, with exit code 4, for flights with open anomalies that count or with too little seen.
+    """Exit with 4 if a flight fails a rule.
 
-    Example: lsnet-pipe check --rules strict.toml
+    A flight fails by anomalies that are not dismissed, or by too little coverage, as the rules say.
+
+    \b
+    Examples:
+      lsnet-pipe check
+      lsnet-pipe check --flight 42c8f628 --rules strict.toml
     """
-    from inspect_pipeline.index import publish as index
     from inspect_pipeline.index.check import check_flights
     from inspect_pipeline.index.flights import find_flights
-    from inspect_pipeline.store.store import Store, store_path
+    from inspect_pipeline.index.publish import select
 
-    source = Store(store_path(store))
+    source = open_store(store)
     every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"
-    flights = (
-        find_flights(source, flight) if flight else [row["flight_id"] for row in index.select(source, every)]
-    )
+    flights = find_flights(source, flight) if flight else [row["flight_id"] for row in select(source, every)]
     failures = check_flights(source, flights, rules)
-    for failure in failures:
-        if as_json:
+    if as_json:
+        for failure in failures:
             typer.echo(json.dumps(asdict(failure)))
-        else:
-            what = f"{failure.rule}: {failure.detail}"
-            told = f"  ({failure.anomaly_id})" if failure.anomaly_id else ""
-            typer.echo(f"{failure.flight_id[:16]}  {printable(what)}{told}")
+    else:
+        rows = [(each.flight_id[:16], each.rule, each.anomaly_id, each.detail) for each in failures]
+        passing = "1 flight passes" if len(flights) == 1 else f"{count_of(len(flights), 'flight')} pass"
+        print_table(("flight_id", "rule", "anomaly_id", "detail"), rows, passing)
     if failures:
         raise typer.Exit(_FAILED)
-    if not as_json:
-        typer.echo(f"{len(flights)} flights pass")

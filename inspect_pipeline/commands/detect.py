@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import glob
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspect_pipeline.commands.detector import load_detector
 from inspect_pipeline.commands.options import (
     JsonOption,
     MinScoreOption,
@@ -15,52 +17,106 @@ from inspect_pipeline.commands.options import (
     ScaleOption,
     WeightsOption,
 )
+from inspect_pipeline.commands.output import count_of, print_line, report_error
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from inspect_pipeline.photos import Photograph
+
+_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"}
 
 
 def detect(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Photographs.")],
+    images: Annotated[
+        list[str],
+        typer.Argument(metavar="IMAGE...", help="Photographs, folders of them, or globs in quotes."),
+    ],
     as_json: JsonOption = False,
     min_score: MinScoreOption = None,
     scale: ScaleOption = None,
-    batch_size: Annotated[int, typer.Option(min=1, max=256, help="Images read at a time.")] = 8,
+    batch_size: Annotated[
+        int, typer.Option(min=1, max=256, metavar="N", help="Images in memory at a time.")
+    ] = 8,
     draw: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the lines over each image here, PNG.")
+        Path | None, typer.Option(metavar="DIR", help="Write each image with its lines here, as PNG.")
     ] = None,
     segments: Annotated[bool, typer.Option("--segments", help="Draw raw segments instead of lines.")] = False,
     confidence: Annotated[
-        Path | None, typer.Option("--map", metavar="DIR", help="Write heat maps of confidence here, PNG.")
+        Path | None, typer.Option("--map", metavar="DIR", help="Write heat maps of confidence here, as PNG.")
     ] = None,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
 ) -> None:
-    """Find the segments in photographs, in the pixels of each.
+    """Find the lines in photographs.
 
-    Example: lsnet-pipe detect tower.jpg --json --min-score 0.3
+    \b
+    Examples:
+      lsnet-pipe detect tower.jpg --json --min-score 0.3
+      lsnet-pipe detect photos --draw drawn
+      lsnet-pipe detect "photos/**/*.JPG" --map maps
     """
-    from inspect_pipeline.photos import check_outputs, detect_in, write_map, write_overlay
-    from lsnet import Detector
+    paths, n_missing = _find_images(images)
+    if not paths:
+        raise typer.Exit(1)
 
-    check_outputs(images, draw, confidence)
-    detector = Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)
+    detector = load_detector(weights, runtime, scale, min_score)
+    from inspect_pipeline.photos import check_outputs, detect_in, write_map, write_overlay
+
+    check_outputs(paths, draw, confidence)
     problems: list[str] = []
-    with progress_bar("detect", len(images)) as advance:
-        for photograph in detect_in(images, detector, batch_size, problems.append):
+    with progress_bar("detect", len(paths)) as advance:
+        for photograph in detect_in(paths, detector, batch_size, problems.append):
             advance()
             if draw:
-                write_overlay(photograph, images, draw, segments=segments)
+                write_overlay(photograph, paths, draw, segments=segments)
             if confidence:
-                write_map(photograph, images, confidence)
-            typer.echo(json.dumps(photograph.to_dict()) if as_json else _row(photograph))
+                write_map(photograph, paths, confidence)
+            if as_json:
+                typer.echo(json.dumps(photograph.to_dict()))
+            else:
+                print_line(_describe(photograph))
     for problem in problems:
-        typer.echo(f"error: {problem}", err=True)
-    raise typer.Exit(1 if problems else 0)
+        _report(problem)
+    raise typer.Exit(1 if problems or n_missing else 0)
 
 
-def _row(photograph: Photograph) -> str:
-    found = photograph.detections
-    height, width = found.segments.image_size
-    return f"{photograph.path}: {width}x{height}, {len(found.segments)} segments, {len(found.lines)} lines"
+def _find_images(names: Sequence[str]) -> tuple[list[Path], int]:
+    """Return the image files of names, and how many names have none, which is reported."""
+    found: list[Path] = []
+    n_missing = 0
+    for name in names:
+        paths = list(_expand(name))
+        if not paths:
+            what = "there is no image in it" if Path(name).is_dir() else "there is no such file"
+            _report(f"{name}: {what}; check the name")
+            n_missing += 1
+        found += paths
+    return found, n_missing
+
+
+def _expand(name: str) -> Iterator[Path]:
+    """Yield the file, the images below the folder, or those that match the glob."""
+    path = Path(name)
+    if path.is_dir():
+        below = (each for each in sorted(path.rglob("*")) if each.is_file())
+        yield from (each for each in below if each.suffix.lower() in _SUFFIXES and each.name[0] != ".")
+    elif path.exists():
+        yield path
+    elif glob.has_magic(name):
+        for match in sorted(glob.glob(name, recursive=True)):  # noqa: PTH207 - any root
+            yield from _expand(match)
+
+
+def _report(problem: str) -> None:
+    from inspect_pipeline.errors import InspectError
+
+    report_error(InspectError(problem))
+
+
+def _describe(photograph: Photograph) -> str:
+    height, width = photograph.detections.segments.image_size
+    lines = count_of(len(photograph.detections.lines), "line")
+    segments = count_of(len(photograph.detections.segments), "segment")
+    return f"{photograph.path}: {width}x{height}, {lines} of {segments}"

@@ -5,12 +5,18 @@ from __future__ import annotations
 import typer
 
 from inspect_pipeline.commands.options import StoreOption
+from inspect_pipeline.commands.output import print_line
 
 
 def doctor(store: StoreOption = None) -> None:
-    """Show versions, the detector's backend and the state of the store; exit 1 when something is wrong.
+    """Check versions, the detector and the store.
 
-    Example: lsnet-pipe doctor
+    Exits with 1 when something is wrong.
+
+    \b
+    Examples:
+      lsnet-pipe doctor
+      lsnet-pipe doctor --store /data/inspections
     """
     from inspect_pipeline.doctor import examine
     from inspect_pipeline.store.store import Store, store_path
@@ -18,6 +24,6 @@ def doctor(store: StoreOption = None) -> None:
     is_ok = True
     for finding in examine(Store(store_path(store))):
         is_ok = is_ok and finding.is_ok
-        typer.echo(f"{'ok   ' if finding.is_ok else 'WRONG'}  {finding.subject:24}{finding.state}")
+        print_line(f"{'ok   ' if finding.is_ok else 'WRONG'}  {finding.subject:24}{finding.state}")
     if not is_ok:
         raise typer.Exit(1)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import typer
 
-from inspect_pipeline.commands.options import StoreOption
+from inspect_pipeline.commands.options import StoreOption, open_store
+from inspect_pipeline.commands.output import count_of, print_line, warn
 
 app = typer.Typer(
-    help="Keep the index in step with the flights of the store.",
+    help="Rebuild the index, or compare it with the flights.",
     epilog="Example: lsnet-pipe index verify",
     no_args_is_help=True,
 )
@@ -15,33 +16,39 @@ app = typer.Typer(
 
 @app.command()
 def rebuild(store: StoreOption = None) -> None:
-    """Make the index anew from the flights; queries go on meanwhile.
+    """Rebuild the index from the flights.
 
-    Example: lsnet-pipe index rebuild --store /data/inspections
+    Queries use the old index until the new one is complete.
+
+    \b
+    Examples:
+      lsnet-pipe index rebuild --store /data/inspections
     """
-    from inspect_pipeline.index import publish as index
-    from inspect_pipeline.store.store import Store, store_path
+    from inspect_pipeline.index import publish
 
-    change = index.rebuild(Store(store_path(store)))
+    change = publish.rebuild(open_store(store))
     for folder in change.damaged:
-        typer.echo(f"{folder}: damaged and left out; process its recording again", err=True)
-    typer.echo(f"{change.n_flights} flights")
+        warn(f"{folder}: damaged and left out; process its recording again")
+    print_line(count_of(change.n_flights, "flight"))
     if change.damaged:
         raise typer.Exit(1)
 
 
 @app.command()
 def verify(store: StoreOption = None) -> None:
-    """Compare every row of the index with the flights; exit 1 and say what differs.
+    """Compare every row of the index with the flights.
 
-    Example: lsnet-pipe index verify
+    Exits with 1 and prints the differences when there are any.
+
+    \b
+    Examples:
+      lsnet-pipe index verify
     """
-    from inspect_pipeline.index import publish as index
-    from inspect_pipeline.store.store import Store, store_path
+    from inspect_pipeline.index import publish
 
-    problems = index.verify(Store(store_path(store)))
+    problems = publish.verify(open_store(store))
     for problem in problems:
-        typer.echo(problem)
+        print_line(problem)
     if problems:
         raise typer.Exit(1)
-    typer.echo("the index holds what the flights hold")
+    print_line("the index is equal to the flights")

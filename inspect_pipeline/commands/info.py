@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.batch_log import printable
+from inspect_pipeline.errors import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,9 +21,13 @@ def info(
         Path, typer.Argument(metavar="FILE", help="A recording (MCAP), or the folder of a split one.")
     ],
 ) -> None:
-    """Show what a recording holds, and what `process` would make of it.
+    """Show the content of a recording.
 
-    Example: lsnet-pipe info flight.mcap
+    The last line says which cameras `process` would use.
+
+    \b
+    Examples:
+      lsnet-pipe info flight.mcap
     """
     from inspect_pipeline.recording.reader import open_recording
 

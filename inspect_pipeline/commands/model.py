@@ -1,4 +1,4 @@
-"""`lsnet-pipe model`: train, export, evaluate and time a network."""
+"""`lsnet-pipe model`: train, export, evaluate and time networks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lsnet.training.trainer import TrainingProgress
 
 app = typer.Typer(
-    help="Train, export, evaluate and time a network.",
+    help="Train, export, evaluate and time networks.",
     epilog="Example: lsnet-pipe model bench",
     no_args_is_help=True,
 )
@@ -26,10 +26,10 @@ BackgroundOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="DIR[:FIRST]",
-        help="Photographs without lines to draw on; FIRST takes so many, by name. May be repeated.",
+        help="Photographs without lines to draw on, the FIRST of them by name; may be repeated.",
     ),
 ]
-RunOption = Annotated[Path, typer.Option("--run", metavar="DIR", help="The folder of the run.")]
+RunOption = Annotated[Path, typer.Option("--run", metavar="DIR", help="Folder of the run.")]
 
 
 @app.command()
@@ -37,40 +37,44 @@ def train(
     run: RunOption,
     background: BackgroundOption = None,
     data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Labelled images instead of drawn ones.")
+        Path | None, typer.Option(metavar="DIR", help="Labelled images to train on, instead of drawn ones.")
     ] = None,
     rendered: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Pictures of `model synth` to lay over --background."),
+        typer.Option(metavar="DIR", help="Pictures of `model synth` to paste over --background."),
     ] = None,
     validation: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Labelled images to validate on, with --data.")
+        Path | None, typer.Option(metavar="DIR", help="Labelled images to validate on; required with --data.")
     ] = None,
-    label: Annotated[list[str] | None, typer.Option(help="A label that counts as a line; else all.")] = None,
-    preset: Annotated[str, typer.Option(help="paper or fast.")] = "fast",
-    steps: Annotated[int, typer.Option(min=1, help="Batches in all.")] = 10_000,
-    batch_size: Annotated[int, typer.Option(min=1)] = 8,
-    learning_rate: Annotated[float, typer.Option(min=0.0)] = 2e-3,
+    label: Annotated[
+        list[str] | None, typer.Option(help="Label that counts as a line; may be repeated. Default: all.")
+    ] = None,
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Network: paper or fast.")] = "fast",
+    steps: Annotated[int, typer.Option(min=1, metavar="N", help="Number of batches.")] = 10_000,
+    batch_size: Annotated[int, typer.Option(min=1, metavar="N", help="Images in a batch.")] = 8,
+    learning_rate: Annotated[float, typer.Option(min=0.0, metavar="RATE", help="Peak learning rate.")] = 2e-3,
     crop: Annotated[int, typer.Option(min=64, help="Side of the training images, px.")] = 384,
     validate_every: Annotated[int, typer.Option(min=1, help="Steps between validations.")] = 500,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same images and same first weights.")] = 0,
-    threads: Annotated[int, typer.Option(min=1, help="Threads of the training itself.")] = 1,
-    workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the images and the initial weights.")] = 0,
+    threads: Annotated[int, typer.Option(min=1, help="Threads of the training process.")] = 1,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that draw images.")] = 1,
     start: Annotated[
         str | None,
         typer.Option(
             metavar="WEIGHTS",
-            help="Begin with these: a shipped name, .safetensors (of a wider network too) or best.pt.",
+            help="Initial weights: a shipped name, a .safetensors file (also of a wider network) or best.pt.",
         ),
     ] = None,
 ) -> None:
-    """Train a network on drawn cables, or on your own labelled images (labelme or COCO).
+    """Train a network on drawn or labelled images.
 
-    Kill it and run it again: it goes on where it was. It stops by itself when validation no longer improves.
+    Labels are labelme or COCO. A run that was killed continues when it is started again. Training stops when
+    the validation loss no longer improves.
 
-    Example: lsnet-pipe model train --run runs/a --background photos:500
-
-    Example: lsnet-pipe model train --run runs/b --data rails/train --validation rails/val --start fast
+    \b
+    Examples:
+      lsnet-pipe model train --run runs/a --background photos:500
+      lsnet-pipe model train --run runs/b --data rails/train --validation rails/val --start fast
     """
     from lsnet.errors import LSNetError
     from lsnet.model import PRESETS
@@ -95,11 +99,11 @@ def train(
     train_on, validate_on = open_sources(sources)
     trainer = Trainer(config, run, seed=seed, start=start)
     with progress_bar("train", steps, done=trainer.step) as advance:
-        trainer.run(train_on, validate_on, report=lambda state: advance(_telling(state), state.step))
+        trainer.run(train_on, validate_on, report=lambda state: advance(_describe(state), state.step))
     typer.echo(f"{run / 'best.pt'}: validation loss {trainer.best_loss:.4f}; next: lsnet-pipe model export")
 
 
-def _telling(state: TrainingProgress) -> str:
+def _describe(state: TrainingProgress) -> str:
     text = f"loss {state.loss:.3f} (cells {state.classification:.3f}, endpoints {state.regression:.3f})"
     if state.validation_loss is not None:
         text += f", validation {state.validation_loss:.4f}"
@@ -110,15 +114,17 @@ def _telling(state: TrainingProgress) -> str:
 def export(
     run: RunOption,
     output: Annotated[Path, typer.Option("--output", "-o", help="The .safetensors file to write.")],
-    name: Annotated[str, typer.Option(help="What the weights are called.")],
-    min_score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Their score threshold.")] = 0.5,
+    name: Annotated[str, typer.Option(help="Name of the weights.")],
+    min_score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Default score threshold.")] = 0.5,
     metrics: Annotated[
-        Path | None, typer.Option(help="JSON of `model eval --json`, kept in the file.")
+        Path | None, typer.Option(metavar="FILE", help="Output of `model eval --json` to keep in the file.")
     ] = None,
 ) -> None:
-    """Write the best weights of a run with all that is needed to use them.
+    """Write the best weights of a run to a file.
 
-    Example: lsnet-pipe model export --run runs/a --name mine -o mine.safetensors --min-score 0.4
+    \b
+    Examples:
+      lsnet-pipe model export --run runs/a --name mine -o mine.safetensors --min-score 0.4
     """
     from lsnet.training.sources import export_run
 
@@ -127,14 +133,14 @@ def export(
 
 
 class Use(StrEnum):
-    """What of the detections is scored."""
+    """Values of `--use`."""
 
     SEGMENTS = "segments"
     LINES = "lines"
 
 
 class What(StrEnum):
-    """What is compared."""
+    """Values of `--what`."""
 
     NETWORKS = "networks"
     ABLATIONS = "ablations"
@@ -147,38 +153,40 @@ def evaluate(
     runtime: RuntimeOption = "auto",
     use: Annotated[Use, typer.Option(help="Score raw segments or merged lines.")] = Use.SEGMENTS,
     min_score: Annotated[
-        float | None, typer.Option(min=0.0, max=1.0, help="Also score at this; else the weights' own.")
+        float | None, typer.Option(min=0.0, max=1.0, help="Score threshold. Default: that of the weights.")
     ] = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="The paper's ARR, APR and F1 too, by width of lines.")
+        bool, typer.Option("--paper", help="Add ARR, APR and F1 of the paper, by line width.")
     ] = False,
     synthetic: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Also score N drawn images: sAP, and cable by cable.")
+        int, typer.Option(metavar="N", min=0, help="Add N drawn images: sAP, and scores by cable.")
     ] = 0,
     background: BackgroundOption = None,
     rival: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Instead of weights: lsd, or M-LSD's .tflite file.")
+        str | None,
+        typer.Option(metavar="NAME", help="Evaluate another detector: lsd, or the .tflite file of M-LSD."),
     ] = None,
     grids: Annotated[
-        str, typer.Option(metavar="LETTERS", help="Grids used: main, horizontal, vertical, central.")
+        str, typer.Option(metavar="LETTERS", help="Grids to use: main, horizontal, vertical, central.")
     ] = "MHVC",
     as_json: JsonOption = False,
 ) -> None:
-    """Score weights on folders of images, looked at as `detect` does.
+    """Score weights on folders of images.
 
-    A folder holds ID.jpg with ID.boundary.png (contours of the cables), images/ with masks/, or plain images,
-    of which the share with a reported segment or line is told. ODS is the best F1 over score thresholds.
+    A folder has ID.jpg with ID.boundary.png (contours of the cables), images/ with masks/, or images without
+    truth, for which the share with a detection is reported. ODS is the best F1 over score thresholds.
 
-    Example: lsnet-pipe model eval photos/with_masks photos/without_lines --use lines
-
-    Example: lsnet-pipe model eval --synthetic 200 --background photos/without_lines
+    \b
+    Examples:
+      lsnet-pipe model eval photos/with_masks photos/without_lines --use lines
+      lsnet-pipe model eval --synthetic 200 --background photos/without_lines
     """
     from lsnet.evaluation.report import EvalTask, evaluate_all, open_line_detector
 
     task = EvalTask(tuple(folders or ()), use.value, paper, synthetic, tuple(background or ()))
-    finder, own = open_line_detector(weights, runtime, rival, grids)
+    detector, own = open_line_detector(weights, runtime, rival, grids)
     with progress_bar("eval", task.count_images()) as advance:
-        reports = evaluate_all(finder, task, own if min_score is None else min_score, on_image=advance)
+        reports = evaluate_all(detector, task, own if min_score is None else min_score, on_image=advance)
     for report in reports:
         typer.echo(json.dumps(report.to_dict()) if as_json else str(report))
 
@@ -187,23 +195,25 @@ def evaluate(
 def compare(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Evaluation sets with truth.")],
     run: RunOption,
-    what: Annotated[What, typer.Option(help="Networks of several sizes, or the paper's choices.")] = (
+    what: Annotated[What, typer.Option(help="Networks of several sizes, or ablations of the paper.")] = (
         What.NETWORKS
     ),
     background: BackgroundOption = None,
     images: Annotated[int, typer.Option(min=1, help="Drawn images to train on.")] = 3700,
-    steps: Annotated[int, typer.Option(min=1, help="Batches each is trained on.")] = 4000,
-    workers: Annotated[int, typer.Option(min=0, help="Processes that draw.")] = 1,
+    steps: Annotated[int, typer.Option(min=1, help="Batches to train each network on.")] = 4000,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that draw images.")] = 1,
     chart: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw ODS over time, .svg or .png (extra plot).")
+        Path | None, typer.Option(metavar="FILE", help="Write a chart of ODS against time, SVG.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Train several networks or losses for a short while on the same drawn images; score and time each.
+    """Compare networks or losses after a short training.
 
-    Kill it and run it again: it goes on where it was.
+    All are trained on the same drawn images. A run that was killed continues when it is started again.
 
-    Example: lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
+    \b
+    Examples:
+      lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
     """
     from lsnet.evaluation.compare.compare import CANDIDATES, Comparison, compare_all
     from lsnet.evaluation.compare.table import table, write_chart
@@ -220,21 +230,24 @@ def compare(
 
 @app.command()
 def synth(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to fill.")],
-    count: Annotated[int, typer.Option(min=1, help="Pictures in all.")] = 100,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
+    count: Annotated[int, typer.Option(min=1, help="Number of pictures.")] = 100,
     light: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Environment maps (.hdr) for light; else a sunny sky."),
+        typer.Option(metavar="DIR", help="Environment maps (.hdr) to light with. Default: a sunny sky."),
     ] = None,
     size: Annotated[int, typer.Option(min=64, help="Side of the square pictures, px.")] = 512,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same pictures.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the pictures.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 1,
 ) -> None:
-    """Render cables physically: PNG with alpha and their centrelines as JSON, for `model train --rendered`.
+    """Render pictures of cables to train on.
 
-    Kill it and run it again: it goes on where it was. Needs the extra `synth`.
+    Writes PNG with alpha, and centrelines as JSON, for `model train --rendered`. Needs the extra `synth`. A
+    run that was killed continues when it is started again.
 
-    Example: lsnet-pipe model synth --count 1000 -o renders --light hdri --workers 8
+    \b
+    Examples:
+      lsnet-pipe model synth --count 1000 -o renders --light hdri --workers 8
     """
     from lsnet.synth.pbr.pictures import render_many
 
@@ -246,22 +259,25 @@ def synth(
 @app.command()
 def mine(
     background: BackgroundOption,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to fill.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
     min_score: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Least score of a segment that counts.")
+        float, typer.Option(min=0.0, max=1.0, help="Minimum score of a false detection.")
     ] = 0.3,
     scale: Annotated[
         float | None,
-        typer.Option(min=0.05, max=4.0, help="Resize photographs by this first; else small ones only."),
+        typer.Option(min=0.05, max=4.0, help="Resize photographs by this first. Default: small ones only."),
     ] = None,
 ) -> None:
-    """Cut the squares with false alarms out of photographs without lines, to train on as hard negatives.
+    """Cut hard negatives out of photographs without lines.
 
-    Example: lsnet-pipe model mine --background photos:500 -o hard
+    These are squares in which the weights report segments; `model train` draws on them as on any background.
 
-    Example: lsnet-pipe model train --run runs/b --start fast --background photos:500 --background hard
+    \b
+    Examples:
+      lsnet-pipe model mine --background photos:500 -o hard
+      lsnet-pipe model train --run runs/b --start fast --background photos:500 --background hard
     """
     from lsnet import Detector
     from lsnet.training.hard_negatives import mine, named_photos
@@ -279,16 +295,20 @@ def mine(
 def bench(
     size: Annotated[int, typer.Option(min=32, help="Side of the square images, px.")] = 512,
     images: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Photographs to use; else drawn scenes.")
+        Path | None, typer.Option(metavar="DIR", help="Photographs to use. Default: drawn scenes.")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=0.1, help="How long to measure.")] = 5.0,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, metavar="SECONDS", help="Duration of the measurement.")
+    ] = 5.0,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
-    """Time detection, uint8 pixels in, segments and lines out.
+    """Time detection, from pixels to lines.
 
-    Example: lsnet-pipe model bench --json --size 512 --images photos
+    \b
+    Examples:
+      lsnet-pipe model bench --json --size 512 --images photos
     """
     from lsnet.evaluation.speed import measure_speed
 

@@ -1,22 +1,26 @@
-"""Options that several commands share, and how their values are read."""
+"""Options that several commands share, and how their values are parsed."""
 
 from __future__ import annotations
 
 import math
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from inspect_pipeline.config import SchemaName, WriteMode
 
+if TYPE_CHECKING:
+    from inspect_pipeline.store.store import Store
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def parse_time_ns(text: str) -> int:
-    """Nanoseconds since 1970 UTC, given as such or as an ISO 8601 time; without a zone it is in UTC."""
-    if text.isdecimal():
+    """Parse nanoseconds since 1970 or an ISO 8601 time, in UTC where it has no zone."""
+    if text.isascii() and text.isdecimal():
         return int(text)
     try:
         time = datetime.fromisoformat(text)
@@ -29,18 +33,48 @@ def parse_time_ns(text: str) -> int:
 
 
 def finite(number: float | None) -> float | None:
-    """The number; what is called nan and inf is none to work with."""
+    """Refuse nan and inf."""
     if number is not None and not math.isfinite(number):
-        raise typer.BadParameter(f"{number} is not a number to work with")
+        raise typer.BadParameter(f"{number} is not a finite number")
     return number
+
+
+def open_store(option: Path | None, *, create: bool = False) -> Store:
+    """Open the store of `--store`, else of LSNET_PIPE_STORE, else ./inspections.
+
+    Args:
+        option: the value of `--store`.
+        create: whether the command may create the store; one that only reads must not, since a mistyped
+            name would give an empty one.
+
+    Raises:
+        StoreError: there is no such store.
+    """
+    from inspect_pipeline.errors import StoreError
+    from inspect_pipeline.store.store import Store, store_path
+
+    store = Store(store_path(option))
+    if not create and not store.root.exists():
+        raise StoreError(store.root, "there is no store", "check the name, or run lsnet-pipe process first")
+    return store
+
+
+def check_suffix(path: Path, known: tuple[str, ...]) -> None:
+    """Refuse a name for a new file whose suffix says another format than the one that is written."""
+    if path.suffix.lower() not in known:
+        raise typer.BadParameter(f"{path} does not end in {' or '.join(known)}, the format of the file")
 
 
 StoreOption = Annotated[
     Path | None,
-    typer.Option("--store", metavar="DIR", help="The store; else LSNET_PIPE_STORE, else ./inspections."),
+    typer.Option(
+        "--store", metavar="DIR", help="Folder of the store. Default: $LSNET_PIPE_STORE, else ./inspections."
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-WeightsOption = Annotated[str, typer.Option(metavar="NAME|FILE", help="Weights by name or by file.")]
+WeightsOption = Annotated[
+    str, typer.Option(metavar="NAME|FILE", help="Name of shipped weights, or a .safetensors file.")
+]
 ScaleOption = Annotated[
     float | None,
     typer.Option(
@@ -48,7 +82,7 @@ ScaleOption = Annotated[
         max=4.0,
         callback=finite,
         metavar="FACTOR",
-        help="Look at images of this size; else only small ones are enlarged.",
+        help="Resize images by this factor first. Default: enlarge small images only.",
     ),
 ]
 MinScoreOption = Annotated[
@@ -58,16 +92,30 @@ MinScoreOption = Annotated[
         max=1.0,
         callback=finite,
         metavar="SCORE",
-        help="Least score of a segment; else the weights' own.",
+        help="Minimum score of a line. Default: that of the weights.",
     ),
+]
+RuntimeOption = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME", help="Inference runtime: auto, torch, openvino, openvino-bf16 or openvino-int8."
+    ),
+]
+TopicOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="TOPIC", help="Camera topic; may be repeated. Default: all cameras."),
+]
+EveryOption = Annotated[int, typer.Option(min=1, metavar="N", help="Process every N-th frame.")]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Refuse damaged recordings instead of processing the readable part.")
 ]
 WriteOption = Annotated[
     WriteMode,
-    typer.Option(help="Annotations to a copy of the recording, a file of their own, or nowhere."),
+    typer.Option(help="Write annotations to a copy of the recording, to a separate file, or not at all."),
 ]
 SchemaOption = Annotated[
     SchemaName,
-    typer.Option(help="Format of the annotations; auto: ROS 2 messages in ROS 2 bags, else protobuf."),
+    typer.Option(help="Encoding of the annotations: protobuf, or ROS 2 messages for use in ROS."),
 ]
 GroundAltOption = Annotated[
     float | None,
@@ -75,16 +123,12 @@ GroundAltOption = Annotated[
         "--ground-alt",
         callback=finite,
         metavar="METRES",
-        help="Altitude of the ground as the positions count it; else as the recording says.",
+        help="Altitude of the ground, in the datum of the positions. Default: from the recording.",
     ),
 ]
 DemOption = Annotated[
     Path | None,
-    typer.Option(
-        "--dem",
-        metavar="FILE",
-        help="A terrain model (GeoTIFF): how the ground rises from where a recording begins (extra geo).",
-    ),
+    typer.Option("--dem", metavar="FILE", help="Terrain model (GeoTIFF) of the ground; needs extra geo."),
 ]
 ViewOption = Annotated[
     float | None,
@@ -94,15 +138,19 @@ ViewOption = Annotated[
         max=179.0,
         callback=finite,
         metavar="DEGREES",
-        help="From left to right of an image, for cameras without calibration.",
+        help="Horizontal field of view of cameras without calibration.",
     ),
 ]
 WireOption = Annotated[
     float,
     typer.Option(
-        "--wire", min=0.1, callback=finite, metavar="MM", help="Diameter of a conductor, whose width is told."
+        "--wire", min=0.1, callback=finite, metavar="MM", help="Diameter of a conductor, for its width in px."
     ),
 ]
-RuntimeOption = Annotated[
-    str, typer.Option(metavar="NAME", help="auto, torch, openvino, openvino-bf16 or openvino-int8.")
+FlightOption = Annotated[
+    str | None, typer.Option(metavar="FLIGHT", help="Only this flight: its flight_id or the start of it.")
+]
+FlightArgument = Annotated[str, typer.Argument(metavar="FLIGHT", help="A flight_id or the start of it.")]
+InboxArgument = Annotated[
+    list[str], typer.Argument(metavar="INBOX...", help="Folders, recordings, or globs in quotes.")
 ]

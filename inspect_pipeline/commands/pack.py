@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.batch_log import printable
+from inspect_pipeline.commands.options import check_suffix
+from inspect_pipeline.commands.output import print_line, warn
 
 
 def pack(
@@ -17,17 +18,22 @@ def pack(
             metavar="SOURCE", help="A folder of JPEGs, a video, or the folder of a split recording."
         ),
     ],
-    target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to make (MCAP).")],
+    target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to write (MCAP).")],
 ) -> None:
-    """Make a recording of a drone's photographs, of its video and SRT, or of the parts of a split one.
+    """Convert photographs or video of a drone to a recording.
 
-    Positions and gimbal angles are taken from EXIF and XMP, and from the SRT file beside the video.
+    Positions and gimbal angles come from EXIF and XMP, or from the SRT file beside the video. The parts of
+    a split recording are joined.
 
-    Example: lsnet-pipe pack DCIM/100MEDIA flight.mcap
+    \b
+    Examples:
+      lsnet-pipe pack DCIM/100MEDIA flight.mcap
+      lsnet-pipe pack DJI_0001.MP4 flight.mcap
     """
+    check_suffix(target, (".mcap",))
     from inspect_pipeline.convert import pack as packing
 
     result = packing.pack(source, target)
     for warning in result.warnings:
-        typer.echo(printable(f"warning: {warning}"), err=True)
-    typer.echo(f"{target}: {', '.join(f'{count} {what}' for what, count in result.counts.items())}")
+        warn(warning)
+    print_line(f"{target}: {', '.join(f'{count} {what}' for what, count in result.counts.items())}")

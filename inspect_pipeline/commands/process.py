@@ -3,41 +3,40 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.batch_log import printable
+from inspect_pipeline.commands.detector import load_detector
 from inspect_pipeline.commands.options import (
     DemOption,
+    EveryOption,
     GroundAltOption,
     JsonOption,
     MinScoreOption,
+    RuntimeOption,
     ScaleOption,
     SchemaOption,
     StoreOption,
+    StrictOption,
+    TopicOption,
     ViewOption,
     WeightsOption,
     WireOption,
     WriteOption,
+    open_store,
     parse_time_ns,
 )
+from inspect_pipeline.commands.options_file import ConfigOption
+from inspect_pipeline.commands.output import count_of, print_table, report_error, warn
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
-    from inspect_pipeline.errors import InspectError
-    from inspect_pipeline.store.records import ProcessResult
+    from collections.abc import Callable, Sequence
 
-_VIEWER_NOTE = (
-    "note: viewers hide annotations at first; in the settings of the Image panel switch on the topics "
-    "that end in /lsnet/annotations (eye) and Sync annotations"
-)
-_ROW = (
-    "{flight_id:16}  {status:9}  {n_frames:>8}  {n_bad_frames:>12}  {n_segments:>10}  {seconds:>7}  {source}"
-)
+    from inspect_pipeline.store.records import ProcessResult
 
 
 def process(
@@ -45,46 +44,52 @@ def process(
         list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP), or folders of split ones.")
     ],
     store: StoreOption = None,
+    config: ConfigOption = None,  # noqa: ARG001 - read by its callback
     as_json: JsonOption = False,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TOPIC", help="A camera topic, may be repeated; else all cameras."),
-    ] = None,
-    every: Annotated[int, typer.Option(min=1, metavar="N", help="Look at every N-th frame.")] = 1,
+    topic: TopicOption = None,
+    every: EveryOption = 1,
     start: Annotated[
         int | None, typer.Option(parser=parse_time_ns, metavar="TIME", help="First time, in ns or ISO 8601.")
     ] = None,
     end: Annotated[
-        int | None, typer.Option(parser=parse_time_ns, metavar="TIME", help="End time, not included.")
+        int | None, typer.Option(parser=parse_time_ns, metavar="TIME", help="End time, excluded.")
     ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse a damaged recording; else what can be read is processed.")
-    ] = False,
+    strict: StrictOption = False,
     write: WriteOption = "copy",
-    schema: SchemaOption = "auto",
-    force: Annotated[bool, typer.Option("--force", help="Process again what is in the store.")] = False,
+    schema: SchemaOption = "protobuf",
+    force: Annotated[
+        bool, typer.Option("--force", help="Process recordings that are in the store already.")
+    ] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Let a result without frames replace one with frames.")
+    ] = False,
     ground_alt: GroundAltOption = None,
     dem: DemOption = None,
     view: ViewOption = None,
     wire: WireOption = 22.0,
     weights: WeightsOption = "fast",
+    runtime: RuntimeOption = "auto",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
 ) -> None:
-    """Find the lines in recordings: write them to annotated copies in the store, and index them.
+    """Find the lines in recordings and index them.
 
-    What was lost of a damaged recording, and what is odd about one, is a warning on stderr.
+    Annotated copies of the recordings are written to the store. What was lost of a damaged recording, and
+    what is odd about one, is reported on stderr.
 
-    Example: lsnet-pipe process flight.mcap --store /data/inspections --json
+    \b
+    Examples:
+      lsnet-pipe process flight.mcap
+      lsnet-pipe process *.mcap --store /data/inspections --json
+      lsnet-pipe process flight.mcap --every 5 --topic /camera/image
     """
     if start is not None and end is not None and start >= end:
         raise typer.BadParameter("--end is not after --start")
 
-    from inspect_pipeline import config
-    from inspect_pipeline.errors import InspectError, StoreError
-    from inspect_pipeline.store.store import Store, store_path
+    from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_run
+    from inspect_pipeline.store.runs import save_run, summarize_process
 
-    options = config.ProcessOptions(
+    options = ProcessOptions(
         tuple(topic) if topic else None,
         every,
         start,
@@ -93,20 +98,19 @@ def process(
         force,
         write=write,
         schema=schema,
-        placing=config.PlacingOptions(ground_alt, view, wire / 1000, dem),
+        placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
+        allow_empty=yes,
     )
-    the_store = Store(store_path(store))
-    there, exit_code = _those_that_are_there(files)
-    if not there:
+    the_store = open_store(store, create=True)
+    existing, exit_code = existing_files(files)
+    if not existing:
         raise typer.Exit(exit_code)
 
     from inspect_pipeline import pipeline
-    from inspect_pipeline.index import publish as index
-    from inspect_pipeline.store.runs import save_run, summarize_process
-    from lsnet import Detector
+    from inspect_pipeline.index.publish import publish
 
-    detector = Detector.load(weights, scale=scale, min_score=min_score)
-    run = config.start_run(detector, options)
+    detector = load_detector(weights, runtime, scale, min_score)
+    run = start_run(detector, options)
 
     def process_one(path: Path) -> ProcessResult:
         with progress_bar(path.name, None) as advance:
@@ -119,67 +123,78 @@ def process(
                 on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
             )
 
-    results, n_failed = [], len(files) - len(there)
-    for path in there:
-        try:
-            results.append(process_one(path))
-            _warn(results[-1])
-        except (InspectError, OSError) as error:
-            n_failed, exit_code = n_failed + 1, _tell(path, error)
-            if isinstance(error, StoreError):  # the next recording would fail alike
-                break
+    results, n_failed, failure = _process_all(existing, process_one)
+    exit_code, n_failed = failure or exit_code, n_failed + len(files) - len(existing)
     if any(result.status != "skipped" for result in results):
         save_run(
             the_store,
             summarize_process(run, results, n_found=len(files), n_failed=n_failed, exit_code=exit_code),
         )
     if results:
-        index.publish(the_store)
+        publish(the_store)
     _print_results(results, as_json=as_json)
-    has_new_annotations = any(result.annotated and result.status != "skipped" for result in results)
-    if has_new_annotations and not as_json and sys.stderr.isatty():
-        typer.echo(_VIEWER_NOTE, err=True)
     raise typer.Exit(exit_code)
 
 
-def _those_that_are_there(files: list[Path]) -> tuple[list[Path], int]:
-    """The recordings that a detector is worth loading for; of the others the errors are told."""
+def existing_files(files: Sequence[Path]) -> tuple[list[Path], int]:
+    """Return the recordings worth loading a detector for, and the exit code of the others' errors."""
     from inspect_pipeline.errors import InspectError
     from inspect_pipeline.recording.reader import check_recording
 
-    there, exit_code = [], 0
+    existing, exit_code = [], 0
     for path in files:
         try:
             check_recording(path)
         except (InspectError, OSError) as error:
-            exit_code = _tell(path, error)
+            exit_code = report_error(error, path) or exit_code
         else:
-            there.append(path)
-    return there, exit_code
+            existing.append(path)
+    return existing, exit_code
 
 
-def _tell(path: Path, error: InspectError | OSError) -> int:
-    """Tell why a recording fails, also when it vanishes or its disk fails; the exit code."""
-    if isinstance(error, OSError):
-        told, exit_code = f"{path}: {error.strerror or error}; check the disk and its rights", 1
-    else:
-        told, exit_code = str(error), error.exit_code
-    typer.echo(printable(f"error: {told}"), err=True)
-    return exit_code
+def _process_all(
+    files: Sequence[Path], process_one: Callable[[Path], ProcessResult]
+) -> tuple[list[ProcessResult], int, int]:
+    """Process each file, and continue after a bad one.
+
+    Returns:
+        The results, the number of files without one, and the exit code.
+    """
+    from inspect_pipeline.errors import InspectError, StoreError
+
+    results: list[ProcessResult] = []
+    n_failed, exit_code = 0, 0
+    for path in files:
+        try:
+            result = process_one(path)
+        except (InspectError, OSError) as error:
+            n_failed, exit_code = n_failed + 1, report_error(error, path) or 1
+            if isinstance(error, StoreError):  # the next recording would fail alike
+                break
+        else:
+            results.append(result)
+            exit_code = 1 if result.status == "failed" else exit_code
+            _warn_about(result)
+    return results, n_failed, exit_code
 
 
-def _warn(result: ProcessResult) -> None:
-    """Tell what was lost of a recording, and what is odd about it."""
-    lost = [f"{result.status}: {result.reason}"] if result.reason else []
-    for warning in (*lost, *result.warnings):
-        typer.echo(printable(f"warning: {result.source}: {warning}"), err=True)
+def _warn_about(result: ProcessResult) -> None:
+    """Report what was lost of a recording, replaced in the store, and odd about it."""
+    notes = [f"{result.status}: {result.reason}"] if result.reason else []
+    for note in (*notes, *result.warnings):
+        warn(f"{result.source}: {note}")
+    if result.n_frames_replaced is not None and result.n_frames_replaced != result.n_frames:
+        replaced = count_of(result.n_frames_replaced, "frame")
+        warn(
+            f"{result.source}: this result of {count_of(result.n_frames, 'frame')} replaces one of {replaced}"
+        )
 
 
-def _print_results(results: list[ProcessResult], *, as_json: bool) -> None:
-    if results and not as_json:
-        typer.echo(_ROW.format_map({name: name for name in results[0].__dataclass_fields__}))
-    for result in results:
-        if as_json:
+def _print_results(results: Sequence[ProcessResult], *, as_json: bool) -> None:
+    if as_json:
+        for result in results:
             typer.echo(json.dumps(asdict(result), default=str))
-        else:
-            typer.echo(printable(_ROW.format_map(asdict(result) | {"flight_id": result.flight_id[:16]})))
+    elif results:
+        columns = ("status", "n_frames", "n_bad_frames", "n_lines", "seconds", "source")
+        rows = [[result.flight_id[:16], *(getattr(result, name) for name in columns)] for result in results]
+        print_table(("flight_id", *columns), rows, "")

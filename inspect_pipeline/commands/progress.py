@@ -1,4 +1,4 @@
-"""A progress bar on stderr while a person is watching, nothing otherwise."""
+"""A progress bar on stderr where that is a terminal, nothing otherwise."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ if TYPE_CHECKING:
 
 
 class Advance(Protocol):
-    """Move the bar by one, or to `completed`, with words about where it is; `total` may be told late."""
+    """Move the bar by one step, or to `completed`; change its text or its total."""
 
     def __call__(
-        self, words: str | None = None, completed: int | None = None, total: int | None = None
+        self, text: str | None = None, completed: int | None = None, total: int | None = None
     ) -> None: ...
 
 
 @contextmanager
 def progress_bar(name: str, total: int | None, done: int = 0) -> Iterator[Advance]:
-    """A bar of `total` steps, None while that is not known, `done` of which lie behind."""
+    """Show a bar of `total` steps (None if unknown), the first `done` of them completed."""
     if not sys.stderr.isatty():
-        yield lambda words=None, completed=None, total=None: None  # noqa: ARG005
+        yield lambda text=None, completed=None, total=None: None  # noqa: ARG005
         return
     from rich import progress
     from rich.console import Console
 
     columns = (
-        progress.TextColumn("{task.description}", markup=False),  # names of files may look like markup
+        progress.TextColumn("{task.description}", markup=False),  # file names can look like markup
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         progress.TimeRemainingColumn(),
@@ -36,8 +36,8 @@ def progress_bar(name: str, total: int | None, done: int = 0) -> Iterator[Advanc
     with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(name, total=total, completed=done)
 
-        def advance(words: str | None = None, completed: int | None = None, total: int | None = None) -> None:
-            bar.update(task, description=words or name, completed=completed, total=total)
+        def advance(text: str | None = None, completed: int | None = None, total: int | None = None) -> None:
+            bar.update(task, description=text or name, completed=completed, total=total)
             if completed is None:
                 bar.advance(task)
 

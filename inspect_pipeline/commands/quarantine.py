@@ -3,71 +3,103 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.batch_log import printable
-from inspect_pipeline.commands.options import JsonOption, StoreOption
+from inspect_pipeline.commands.options import JsonOption, StoreOption, open_store
+from inspect_pipeline.commands.output import print_line, print_table
+from inspect_pipeline.commands.times import TimezoneOption, format_time
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from inspect_pipeline.batch.quarantine import QuarantineNote
 
 app = typer.Typer(
-    help="Recordings that batches have given up.",
+    help="List and retry recordings that batches gave up.",
     epilog="Example: lsnet-pipe quarantine list",
     no_args_is_help=True,
 )
 
 
 @app.command("list")
-def list_notes(store: StoreOption = None, as_json: JsonOption = False) -> None:
-    """Show which recordings were given up, and why.
+def list_notes(
+    store: StoreOption = None, as_json: JsonOption = False, timezone: TimezoneOption = None
+) -> None:
+    """List the recordings in quarantine, and why.
 
-    Example: lsnet-pipe quarantine list --json
+    \b
+    Examples:
+      lsnet-pipe quarantine list
+      lsnet-pipe quarantine list --json
     """
     from inspect_pipeline.batch.quarantine import Quarantine
-    from inspect_pipeline.store.store import Store, store_path
 
-    for note in Quarantine(Store(store_path(store))).notes():
-        if as_json:
+    notes = Quarantine(open_store(store)).notes()
+    if as_json:
+        for note in notes:
             typer.echo(json.dumps(note.to_json()))
-        else:
-            detail = note.detail.strip().splitlines()[-1]
-            typer.echo(f"{note.note_id}  {note.at[:19]}  {note.reason:10}  {printable(detail)}")
-            typer.echo(f"{'':18}{printable(note.path)}")
+        return
+    rows = [
+        (note.note_id, format_time(note.at, timezone), note.reason, note.path, _last_line(note))
+        for note in notes
+    ]
+    print_table(("id", "since", "reason", "path", "detail"), rows, "no recordings in quarantine")
 
 
 @app.command()
 def retry(
     note_ids: Annotated[
-        list[str], typer.Argument(metavar="ID...", help="As told by `quarantine list`, or `all`.")
+        list[str],
+        typer.Argument(metavar="ID...", help="Ids of `quarantine list` or the start of them, or `all`."),
     ],
     store: StoreOption = None,
 ) -> None:
     """Let the next batch try recordings again.
 
-    Example: lsnet-pipe quarantine retry 42c8f628261a909a
+    \b
+    Examples:
+      lsnet-pipe quarantine retry 42c8f628
+      lsnet-pipe quarantine retry all
     """
     from inspect_pipeline.batch.quarantine import Quarantine
-    from inspect_pipeline.store.store import Store, store_path
 
-    quarantine = Quarantine(Store(store_path(store)))
-    notes = {note.note_id: note for note in quarantine.notes()}
-    wanted = list(notes) if note_ids == ["all"] else note_ids
-    unknown = [note_id for note_id in wanted if note_id not in notes]
-    if unknown:
-        raise typer.BadParameter(f"{unknown[0]!r} is not in quarantine; see lsnet-pipe quarantine list")
-    for note_id in wanted:
-        quarantine.remove(notes[note_id].path)
-        typer.echo(printable(notes[note_id].path))
+    quarantine = Quarantine(open_store(store))
+    notes = quarantine.notes()
+    wanted = notes if note_ids == ["all"] else [_find(notes, beginning) for beginning in note_ids]
+    for note in wanted:
+        quarantine.remove(note.path)
+        print_line(note.path)
 
 
 @app.command()
 def clear(store: StoreOption = None) -> None:
-    """Forget recordings that are gone, or were replaced since they were given up.
+    """Forget recordings that are gone or were replaced.
 
-    Example: lsnet-pipe quarantine clear
+    \b
+    Examples:
+      lsnet-pipe quarantine clear
     """
     from inspect_pipeline.batch.quarantine import Quarantine
-    from inspect_pipeline.store.store import Store, store_path
 
-    for note in Quarantine(Store(store_path(store))).remove_stale():
-        typer.echo(printable(note.path))
+    for note in Quarantine(open_store(store)).remove_stale():
+        print_line(note.path)
+
+
+def _find(notes: Sequence[QuarantineNote], beginning: str) -> QuarantineNote:
+    """Return the one note whose id begins so. Raises UnknownIdError, AmbiguousIdError."""
+    from inspect_pipeline.errors import AmbiguousIdError, UnknownIdError
+
+    found = [note for note in notes if beginning and note.note_id.startswith(beginning)]
+    if not found:
+        raise UnknownIdError("recording in quarantine", beginning, "quarantine list")
+    if len(found) > 1:
+        raise AmbiguousIdError("recording", beginning, len(found))
+    return found[0]
+
+
+def _last_line(note: QuarantineNote) -> str:
+    """Return the message: a traceback ends with it, and it begins with the path, which has a column."""
+    lines = note.detail.strip().splitlines() or [""]
+    return lines[-1].removeprefix(f"{note.path}: ")

@@ -10,37 +10,38 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import StoreOption
+from inspect_pipeline.commands.options import InboxArgument, StoreOption
 
 
 class Scheduler(StrEnum):
-    """What `--print` takes."""
+    """Values of `--print`."""
 
     systemd = "systemd"
     cron = "cron"
 
 
 def schedule(
-    inbox: Annotated[
-        list[str], typer.Argument(metavar="INBOX...", help="Folders, recordings, or globs in quotes.")
-    ],
-    scheduler: Annotated[Scheduler, typer.Option("--print", help="For whom.")],
+    inbox: InboxArgument,
+    scheduler: Annotated[Scheduler, typer.Option("--print", help="The scheduler to configure.")],
     store: StoreOption = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The file of further options of `batch`.")
+        Path | None, typer.Option(metavar="FILE", help="File with more options of `batch`.")
     ] = None,
     at: Annotated[
-        datetime, typer.Option(formats=["%H:%M"], metavar="HH:MM", help="When, in local time.")
+        datetime, typer.Option(formats=["%H:%M"], metavar="HH:MM", help="Start time, local.")
     ] = "01:30",  # type: ignore[assignment]  # Typer parses it
-    user: Annotated[str | None, typer.Option(metavar="NAME", help="The user of the service.")] = None,
+    user: Annotated[str | None, typer.Option(metavar="NAME", help="User of the systemd service.")] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Write the units there instead of printing them."),
     ] = None,
 ) -> None:
-    """Print what makes systemd or cron run `batch` every night.
+    """Print systemd units or a crontab line for `batch`.
 
-    Example: lsnet-pipe schedule /data/inbox --store /data/inspections --print systemd
+    \b
+    Examples:
+      lsnet-pipe schedule /data/inbox --store /data/store --print systemd
+      lsnet-pipe schedule /data/inbox --print cron --at 02:00
     """
     if scheduler is Scheduler.cron and (user or output):
         raise typer.BadParameter("--user and -o go with --print systemd")
@@ -55,6 +56,8 @@ def schedule(
     # A timer has another current directory than this command.
     inboxes = [str(Path(name).absolute()) for name in inbox]
     command = [program, "batch", *inboxes, "--store", str(folder), *options]
+    if any(not each.isprintable() for each in (*command, user or "")):  # a newline would add a directive
+        raise typer.BadParameter("names with control characters cannot be scheduled")
     if scheduler is Scheduler.cron:
         try:
             typer.echo(cron_line(command, at.time()), nl=False)
@@ -71,4 +74,4 @@ def schedule(
             (output / name).write_text(text, encoding="utf-8")
         except OSError as error:
             problem = f"cannot be written ({error.strerror})"
-            raise OutputError(output / name, problem, "give another folder with -o") from error
+            raise OutputError(output / name, problem, "name another folder") from error

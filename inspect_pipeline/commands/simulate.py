@@ -7,14 +7,15 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import finite
+from inspect_pipeline.commands.options import check_suffix, finite
+from inspect_pipeline.commands.output import print_line
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, RenderKind, SchemaKind
 
 _LEAST_PX, _MOST_PX = 64, 8192
 
 
 def _parse_size(text: str) -> tuple[int, int]:
-    """(height, width) of a text like 1280x720."""
+    """Parse (height, width) from a text like 1280x720."""
     width, _, height = text.partition("x")
     is_size = width.isdecimal() and height.isdecimal()
     if not is_size or not all(_LEAST_PX <= int(side) <= _MOST_PX for side in (width, height)):
@@ -23,33 +24,42 @@ def _parse_size(text: str) -> tuple[int, int]:
 
 
 def simulate(
-    target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to make (MCAP).")],
+    target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to write (MCAP).")],
     seconds: Annotated[float, typer.Option(min=0.1, callback=finite, help="Length of the flight.")] = 20.0,
     fps: Annotated[float, typer.Option(min=0.1, callback=finite, help="Images per second.")] = 2.0,
-    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Of the images, in px.")] = "1280x720",
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another landscape and line.")] = 0,
-    flight: Annotated[FlightKind, typer.Option(help="How the drone flies.")] = FlightKind.PASS_BY,
+    size: Annotated[
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the images, in px.")
+    ] = "1280x720",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the landscape and the line.")] = 0,
+    flight: Annotated[FlightKind, typer.Option(help="Path of the drone.")] = FlightKind.PASS_BY,
     fault: Annotated[
-        list[FaultKind] | None, typer.Option(help="Plant one, where the flight shows it; may be repeated.")
+        list[FaultKind] | None, typer.Option(help="Add a fault where the camera sees it; may be repeated.")
     ] = None,
     structures: Annotated[
-        int | None, typer.Option(min=2, metavar="N", help="Of a line that ends; else it goes on.")
+        int | None,
+        typer.Option(min=2, metavar="N", help="Towers of a line that ends. Default: it does not end."),
     ] = None,
-    phases: Annotated[int, typer.Option(min=1, max=12, metavar="N", help="Beside each other.")] = 3,
-    bundle: Annotated[int, typer.Option(min=1, max=4, metavar="N", help="Wires of a phase.")] = 1,
+    phases: Annotated[int, typer.Option(min=1, max=12, metavar="N", help="Phases side by side.")] = 3,
+    bundle: Annotated[int, typer.Option(min=1, max=4, metavar="N", help="Conductors of a phase.")] = 1,
     ground: Annotated[
         Path | None,
-        typer.Option(metavar="PHOTO", help="A photograph from above as the ground, 82 m wide; else drawn."),
+        typer.Option(metavar="PHOTO", help="Aerial photograph, 82 m wide, as the ground. Default: drawn."),
     ] = None,
     render: Annotated[
-        RenderKind, typer.Option(help="Conductors drawn quickly, or traced by Mitsuba (extra synth).")
+        RenderKind, typer.Option(help="Draw the conductors, or render them with Mitsuba (extra synth).")
     ] = RenderKind.DRAWN,
-    schema: Annotated[SchemaKind, typer.Option(help="Of the messages.")] = SchemaKind.FOXGLOVE,
+    schema: Annotated[SchemaKind, typer.Option(help="Schemas of the messages.")] = SchemaKind.FOXGLOVE,
 ) -> None:
-    """Make a recording of a drawn flight along a power line, and beside it the truth as FILE.truth.json.
+    """Simulate a flight along a power line.
 
-    Example: lsnet-pipe simulate demo.mcap --seconds 10 --fault missing_conductor
+    Writes a recording, and its ground truth beside it as FILE.truth.json.
+
+    \b
+    Examples:
+      lsnet-pipe simulate demo.mcap
+      lsnet-pipe simulate demo.mcap --seconds 10 --fault missing_conductor
     """
+    check_suffix(target, (".mcap",))
     from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
     options = SimulationOptions(
@@ -67,4 +77,5 @@ def simulate(
         render=render,
     )
     truth = simulate_flight(target, options)
-    typer.echo(f"{target}\n{truth}")
+    print_line(str(target))
+    print_line(str(truth))

@@ -9,11 +9,11 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.batch_log import printable
-from inspect_pipeline.commands.options import JsonOption, StoreOption
+from inspect_pipeline.commands.options import JsonOption, StoreOption, open_store
+from inspect_pipeline.commands.output import count_of, print_line, print_table
 
 app = typer.Typer(
-    help="The spans of the grid, against which coverage is measured.",
+    help="Import and list the spans that coverage is about.",
     epilog="Example: lsnet-pipe spans import towers.csv",
     no_args_is_help=True,
 )
@@ -24,38 +24,45 @@ def import_file(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV of structures or assets, or GeoJSON.")],
     conductors: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Expected side by side, where the file does not say."),
+        typer.Option(min=1, metavar="N", help="Expected conductors side by side, where the file has none."),
     ] = None,
     store: StoreOption = None,
 ) -> None:
-    """Keep the spans of a file in the store, in place of those of the same lines.
+    """Import spans, in place of those of the same lines.
 
-    Example: lsnet-pipe spans import towers.csv --conductors 4
+    The coverage of all flights is computed again.
+
+    \b
+    Examples:
+      lsnet-pipe spans import towers.csv --conductors 4
     """
-    from inspect_pipeline.index import publish as index
+    from inspect_pipeline.index.publish import publish
     from inspect_pipeline.inspection.spans import import_spans, read_spans
-    from inspect_pipeline.store.store import Store, store_path
 
-    target = Store(store_path(store))
+    target = open_store(store, create=True)
     spans = read_spans(file, conductors)
     total = import_spans(target, spans)
-    index.publish(target)
-    typer.echo(f"{len(spans)} spans imported; the store has {total}")
+    publish(target)
+    print_line(f"{count_of(len(spans), 'span')} imported; the store has {total:,}")
 
 
 @app.command("list")
 def list_spans(store: StoreOption = None, as_json: JsonOption = False) -> None:
-    """Show the spans of the store.
+    """List the spans of the store.
 
-    Example: lsnet-pipe spans list --json
+    \b
+    Examples:
+      lsnet-pipe spans list
+      lsnet-pipe spans list --json
     """
     from inspect_pipeline.inspection.spans import load_spans
-    from inspect_pipeline.store.store import Store, store_path
 
-    for span in load_spans(Store(store_path(store))):
-        if as_json:
+    spans = load_spans(open_store(store))
+    if as_json:
+        for span in spans:
             typer.echo(json.dumps(asdict(span)))
-        else:
-            expected = "" if span.expected_conductors is None else f"  {span.expected_conductors} conductors"
-            name = printable(f"{span.line_id or '-'}  {span.span_id}")
-            typer.echo(f"{name}  {span.length_m:.1f} m{expected}")
+        return
+    rows = [(span.line_id, span.span_id, round(span.length_m, 1), span.expected_conductors) for span in spans]
+    print_table(
+        ("line_id", "span_id", "length_m", "conductors"), rows, "no spans; lsnet-pipe spans import adds some"
+    )

@@ -1,6 +1,6 @@
 """Queries with names: the files of schemas/queries, each with a comment that says what it answers.
 
-A word that begins with $ is a value to be given, as in `--param flight=1234`.
+$name in the SQL stands for a value that the caller gives.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from inspect_pipeline.errors import QueryError
+from inspect_pipeline.errors import QueryError, QueryValuesError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,10 +37,9 @@ class NamedQuery:
         return tuple(dict.fromkeys(_PARAMETER.findall(self._statement())))
 
     def with_values(self, values: Mapping[str, str]) -> str:
-        """The statement with its values as text literals. Raises QueryError unless just these are given."""
+        """Return the statement with its values as text literals. Raises QueryValuesError for other values."""
         if set(values) != set(self.parameters):
-            needed = " ".join(f"--param {name}=..." for name in self.parameters) or "no --param"
-            raise QueryError(f"the query {self.name} needs {needed}")
+            raise QueryValuesError(self.name, self.parameters)
         literals = {name: "'" + value.replace("'", "''") + "'" for name, value in values.items()}
         return _PARAMETER.sub(lambda match: literals[match[1]], self._statement())
 

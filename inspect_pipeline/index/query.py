@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 from inspect_pipeline.atomic import appearing, fsync_path
-from inspect_pipeline.errors import QueryError, StoreError, StoreVersionError
+from inspect_pipeline.errors import QueryError, QueryTimeoutError, StoreError, StoreVersionError
 from inspect_pipeline.resources import MIGRATIONS
 
 if TYPE_CHECKING:
@@ -26,16 +26,17 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.errors import InspectError
 
+_PRINTED_ROWS = 1000
 Format = Literal["table", "csv", "json", "parquet"]
 
 
 @dataclass(frozen=True, slots=True)
 class QueryLimits:
-    """What a query may use; `max_rows` is for tables, which people read."""
+    """What a query may use; `max_rows` limits tables: by default 1,000 rows, in a file none."""
 
     timeout_s: float = 60.0
     memory_bytes: int = 512 << 20
-    max_rows: int = 1000
+    max_rows: int | None = None
 
 
 def run_query(
@@ -55,7 +56,7 @@ def run_query(
     if not index_path.exists():
         raise StoreError(index_path.parent, "there is no index", "run lsnet-pipe process first")
     if format == "parquet" and output is None and sys.stdout.isatty():
-        raise QueryError("parquet is not for the terminal; give a file with --output")
+        raise QueryError("Parquet is not text to print; write it to a file")
     job = {
         "index_path": str(index_path),
         "sql": sql,
@@ -63,7 +64,8 @@ def run_query(
         "allow_files": allow_files,
         "memory_bytes": limits.memory_bytes,
         "cpu_s": int(2 * limits.timeout_s) + 2,
-        "max_rows": limits.max_rows,
+        "max_rows": limits.max_rows or (_PRINTED_ROWS if output is None else None),
+        "width": shutil.get_terminal_size().columns if output is None and sys.stdout.isatty() else None,
         "version": len(MIGRATIONS),
         "copy_path": "/dev/stdout",
     }
@@ -88,7 +90,7 @@ def _appearing(output: Path) -> Iterator[Path]:
             yield path
             fsync_path(path)
     except OSError as error:
-        raise QueryError(f"{output}: {error.strerror}; give another file with --output") from error
+        raise QueryError(f"{output}: {error.strerror}; name another file") from error
 
 
 def _write_file(job: dict[str, Any], timeout_s: float, path: Path) -> None:
@@ -111,7 +113,7 @@ def _run_child(job: dict[str, Any], timeout_s: float, sink: IO[bytes]) -> None:
             timer.cancel()
             child.kill()
     if is_late and child.returncode != 0:
-        raise QueryError(f"stopped after {timeout_s:g} s; narrow the query or give more with --timeout")
+        raise QueryTimeoutError(timeout_s)
     if child.returncode != 0:
         raise _explain(Path(job["index_path"]), child.returncode, message)
 

@@ -16,12 +16,14 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TextIO
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     import duckdb
 
 _BATCH_ROWS = 2048
 _MAX_CELL = 80
+_MIN_WIDTH = 16  # of a column, as of a shortened id
+_SHA256 = re.compile("[0-9a-f]{64}")
 _OVERHEAD_BYTES = 3 << 29  # address space of Python, DuckDB and their threads
 _MAX_PARQUET_BYTES = 64 << 30
 _COPY_OPTIONS = {"csv": "FORMAT csv, HEADER", "parquet": "FORMAT parquet, COMPRESSION zstd"}
@@ -128,18 +130,23 @@ def run_statement(connection: duckdb.DuckDBPyConnection, job: dict[str, Any]) ->
         write_plan(connection.execute(statement).fetchall(), job)
     elif job["format"] in _COPY_OPTIONS:
         target = f"{quote(job['copy_path'])} ({_COPY_OPTIONS[job['format']]}, USE_TMP_FILE false)"
-        connection.execute(f"COPY (FROM {source}) TO {target}")
+        rows = select_csv(connection, source) if job["format"] == "csv" else f"FROM {source}"
+        connection.execute(f"COPY ({rows}) TO {target}")
     elif job["format"] == "json":
         write_json(select_objects(connection, source), sys.stdout)
     else:
-        write_table(select_texts(connection, source), job["max_rows"], sys.stdout)
+        write_table(
+            select_texts(connection, source), sys.stdout, max_rows=job["max_rows"], width=job["width"]
+        )
 
 
 def select_texts(connection: duckdb.DuckDBPyConnection, source: str) -> Rows:
     """The rows of `source`, every cell turned into text by DuckDB itself."""
     names, types = describe(connection, source)
     columns = [f"c{number}" for number in range(len(names))]
-    cells = ", ".join(f"CAST({column} AS VARCHAR)" for column in columns)
+    cells = ", ".join(
+        f"CAST({time_as_text(column, kind)} AS VARCHAR)" for column, kind in zip(columns, types, strict=True)
+    )
     connection.execute(f"SELECT {cells} FROM {source} AS t({', '.join(columns)})")
     return Rows(names, types, iter_rows(connection))
 
@@ -148,12 +155,23 @@ def select_objects(connection: duckdb.DuckDBPyConnection, source: str) -> Iterat
     """The rows of `source` as JSON objects, in which NaN and Infinity may stand."""
     names, types = describe(connection, source)
     columns = [f"c{number}" for number in range(len(names))]
-    cells = (json_value(column, kind) for column, kind in zip(columns, types, strict=True))
+    cells = (time_as_text(column, kind) for column, kind in zip(columns, types, strict=True))
     pairs = ", ".join(f"{quote(name)}, {cell}" for name, cell in zip(names, cells, strict=True))
     connection.execute(
         f"SELECT CAST(json_object({pairs}) AS VARCHAR) FROM {source} AS t({', '.join(columns)})"
     )
     return (row[0] or "null" for row in iter_rows(connection))
+
+
+def select_csv(connection: duckdb.DuckDBPyConnection, source: str) -> str:
+    """Return the statement for the rows of `source` with times as text."""
+    names, types = describe(connection, source)
+    columns = [f"c{number}" for number in range(len(names))]
+    cells = (
+        f"{time_as_text(column, kind)} AS {identifier(name)}"
+        for column, kind, name in zip(columns, types, names, strict=True)
+    )
+    return f"SELECT {', '.join(cells)} FROM {source} AS t({', '.join(columns)})"
 
 
 def describe(connection: duckdb.DuckDBPyConnection, source: str) -> tuple[list[str], list[str]]:
@@ -167,12 +185,12 @@ def iter_rows(connection: duckdb.DuckDBPyConnection) -> Iterator[Row]:
     return chain.from_iterable(iter(lambda: connection.fetchmany(_BATCH_ROWS), []))
 
 
-def json_value(column: str, kind: str) -> str:
-    """The SQL of a value for JSON: times become ISO 8601, with a Z where they have a zone."""
+def time_as_text(column: str, kind: str) -> str:
+    """Return the SQL of a value as text or JSON: times, which are in UTC, as ISO 8601 with a Z."""
     if kind == "TIMESTAMP WITH TIME ZONE":
-        return f"replace(CAST(timezone('UTC', {column}) AS VARCHAR), ' ', 'T') || 'Z'"
+        column = f"timezone('UTC', {column})"
     if kind.startswith("TIMESTAMP"):
-        return f"replace(CAST({column} AS VARCHAR), ' ', 'T')"
+        return f"replace(CAST({column} AS VARCHAR), ' ', 'T') || 'Z'"
     return column
 
 
@@ -185,7 +203,7 @@ def write_plan(plans: list[tuple[str, str]], job: dict[str, Any]) -> None:
     elif job["format"] == "csv":
         csv.writer(sys.stdout, lineterminator="\n").writerows([names, *plans])
     else:
-        write_table(Rows(names, ["VARCHAR", "VARCHAR"], iter(plans)), job["max_rows"], sys.stdout)
+        write_table(Rows(names, ["VARCHAR", "VARCHAR"], iter(plans)), sys.stdout)
 
 
 def write_json(objects: Iterator[str], out: TextIO) -> None:
@@ -203,39 +221,98 @@ def nan_to_null(text: str) -> str:
     return json.dumps(json.loads(text, parse_constant=lambda _: None), ensure_ascii=False)
 
 
-def write_table(rows: Rows, max_rows: int, out: TextIO) -> None:
-    """Write at most `max_rows` rows in columns, numbers to the right, and how many there are."""
-    shown = [[cell_lines(cell) for cell in row] for row in islice(rows.rows, max_rows)]
-    is_cut = next(rows.rows, None) is not None
-    names = [cell_lines(name) for name in rows.names]
+def write_table(rows: Rows, out: TextIO, *, max_rows: int | None = None, width: int | None = None) -> None:
+    """Write rows in columns, numbers to the right, and how many there are.
+
+    Args:
+        rows: the rows.
+        out: where to write.
+        max_rows: the most rows to print, where cells are cut too; None for a file, where nothing is.
+        width: of the terminal in characters, None for no limit. Columns are cut to fit it, or each row is
+            written as a block of lines.
+    """
+    shown = [
+        [cell_lines(cell, is_cut=max_rows is not None) for cell in row] for row in islice(rows.rows, max_rows)
+    ]
+    is_cut = max_rows is not None and next(rows.rows, None) is not None
+    names = [cell_lines(name, is_cut=False) for name in rows.names]
     widths = [
         max(len(line) for cell in column for line in cell) for column in zip(names, *shown, strict=True)
     ]
-    is_number = [_NUMBER.fullmatch(kind) is not None for kind in rows.types]
-    for row in (names, [["-" * width] for width in widths], *shown):
-        for height in range(max(len(cell) for cell in row)):
-            lines = (cell[height] if height < len(cell) else "" for cell in row)
-            padded = (
-                line.rjust(width) if right else line.ljust(width)
-                for line, width, right in zip(lines, widths, is_number, strict=True)
-            )
-            out.write("  ".join(padded).rstrip() + "\n")
-    count = f"the first {max_rows} rows; all with --format csv" if is_cut else f"{len(shown)} rows"
+    fitted = widths if width is None else fit_widths(widths, [len(name[0]) for name in names], width)
+    if fitted is None:
+        write_blocks(names, shown, width or 0, out)
+    else:
+        is_number = [_NUMBER.fullmatch(kind) is not None for kind in rows.types]
+        for row in (names, [["-" * each] for each in fitted], *shown):
+            write_columns(row, fitted, is_number, out)
+    noun = "row" if len(shown) == 1 else "rows"
+    count = f"the first {max_rows} rows; a file gets all of them" if is_cut else f"{len(shown)} {noun}"
     out.write(f"({count})\n")
 
 
-def cell_lines(cell: str | None) -> list[str]:
-    """The lines of a cell, cut to a readable width; control characters are escaped, NULL is said."""
+def write_columns(row: Sequence[list[str]], widths: list[int], is_number: list[bool], out: TextIO) -> None:
+    """Write the lines of the cells of one row."""
+    for height in range(max(len(cell) for cell in row)):
+        lines = (cell[height] if height < len(cell) else "" for cell in row)
+        padded = (
+            shorten(line, width).rjust(width) if right else shorten(line, width).ljust(width)
+            for line, width, right in zip(lines, widths, is_number, strict=True)
+        )
+        out.write("  ".join(padded).rstrip() + "\n")
+
+
+def write_blocks(names: list[list[str]], rows: list[list[list[str]]], width: int, out: TextIO) -> None:
+    """Write each row as lines of a name and a value, for rows that are too wide for columns."""
+    name_width = max(len(name[0]) for name in names)
+    for number, row in enumerate(rows, 1):
+        out.write(f"-- row {number}\n")
+        for name, cell in zip(names, row, strict=True):
+            for height, line in enumerate(cell):
+                label = name[0] if height == 0 else ""
+                out.write(f"{label.ljust(name_width)}  {shorten(line, max(width - name_width - 2, 8))}\n")
+
+
+def fit_widths(widths: list[int], least: list[int], width: int) -> list[int] | None:
+    """Return widths of columns that fit `width`, the widest cut first, none below its least; else None."""
+    fitted = list(widths)
+    least = [max(min(name, have), min(_MIN_WIDTH, have)) for name, have in zip(least, widths, strict=True)]
+    excess = sum(fitted) + 2 * (len(fitted) - 1) - width
+    while excess > 0:
+        column = max(range(len(fitted)), key=lambda i: fitted[i] - least[i])
+        room = fitted[column] - least[column]
+        if room <= 0:
+            return None
+        step = min(excess, max(room // 2, 1))
+        fitted[column] -= step
+        excess -= step
+    return fitted
+
+
+def cell_lines(cell: str | None, *, is_cut: bool) -> list[str]:
+    """Return the lines of a cell with control characters escaped; sha256 ids are shortened to 16 digits."""
     if cell is None:
         return ["NULL"]
+    if is_cut and _SHA256.fullmatch(cell):
+        return [cell[:16]]
     lines = cell.rstrip("\n").split("\n") if cell else [""]
     visible = ("".join(c if c.isprintable() else ascii(c)[1:-1] for c in line) for line in lines)
-    return [line if len(line) <= _MAX_CELL else line[: _MAX_CELL - 1] + "…" for line in visible]
+    return [shorten(line, _MAX_CELL) if is_cut else line for line in visible]
+
+
+def shorten(text: str, width: int) -> str:
+    """Return the text in at most `width` characters."""
+    return text if len(text) <= width else text[: width - 1] + "…"
 
 
 def quote(text: str) -> str:
     """An SQL string literal."""
     return "'" + text.replace("'", "''") + "'"
+
+
+def identifier(name: str) -> str:
+    """Return an SQL identifier."""
+    return '"' + name.replace('"', '""') + '"'
 
 
 def one_line(error: Exception) -> str:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import zstandard
 from mcap.records import Channel, Header, Metadata, MetadataIndex, Schema
 
-from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.errors import AnnotationChannelError, RecordingError
 from inspect_pipeline.recording.append_chunks import ChunkBuilder, encode_message_indexes, message_index
 from inspect_pipeline.recording.append_summary import Contents, encode_end, encode_records
 from inspect_pipeline.recording.file import Damage, read_extent
@@ -152,12 +152,10 @@ class AnnotationWriter:
         message_encoding: str,
         metadata: Mapping[str, str],
     ) -> int:
-        """The id of a new channel. Raises RecordingError when the recording has a channel of this topic."""
+        """Add a channel and return its id. Raises AnnotationChannelError if the recording has this topic."""
         taken = {channel.topic for channel in self._source.channels}
         if topic in taken | {channel.topic for channel in self._contents.channels.values()}:
-            raise RecordingError(
-                self._source.path, f"it has a channel {topic} already", "process it with --write none"
-            )
+            raise AnnotationChannelError(self._source.path, f"it has a channel {topic} already")
         schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
         channel_id = self._free_id(self._contents.used_channel_ids)
         channel = Channel(channel_id, topic, message_encoding, dict(metadata), schema_id)
@@ -215,9 +213,7 @@ class AnnotationWriter:
         if free > _MAX_ID:
             free = next((i for i in range(1, _MAX_ID) if i not in used), 0)
         if not free:
-            raise RecordingError(
-                self._source.path, "it has no channel ids left", "process it with --write sidecar"
-            )
+            raise AnnotationChannelError(self._source.path, "it has no channel ids left")
         return free
 
     def _flush_chunk(self) -> None:

@@ -18,7 +18,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from inspect_pipeline.errors import NoImagesError, RecordingError
+from inspect_pipeline.errors import DamagedRecordingError, NoImagesError, RecordingError
 from inspect_pipeline.recording.cameras import find_cameras, is_image, to_camera
 from inspect_pipeline.recording.file import reading
 from inspect_pipeline.recording.log_times import usual_times
@@ -144,7 +144,7 @@ class Recording:
         Raises RecordingError when the recording is `strict`.
         """
         if self.strict:
-            raise RecordingError(part.path, loss, "copy it again, or process the part that can be read")
+            raise DamagedRecordingError(part.path, loss)
         return _name_part(self.parts, part, loss)
 
     def select_cameras(self, topics: Collection[str] | None = None) -> tuple[CameraChannel, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.store.store import Store
 
-Verdict = Literal["confirmed", "dismissed"]
+Verdict = Literal["confirmed", "dismissed", "open"]  # open: an earlier review is taken back
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +36,7 @@ class Review:
     span_id: str | None
     start_ns: int
     end_ns: int
+    reviewed_by: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +49,13 @@ class Tag:
     tagged_at: str
 
 
-def add_review(store: Store, anomaly: dict[str, Any], verdict: Verdict, note: str) -> Review:
-    """Note a review of an anomaly, given as a row of the table; raises StoreError."""
+def add_review(
+    store: Store, anomaly: dict[str, Any], verdict: Verdict, note: str, reviewed_by: str = ""
+) -> Review:
+    """Add a review of an anomaly, given as a row of the table; raises StoreError."""
     own = ("anomaly_id", "flight_id", "channel_id", "kind", "span_id", "start_ns", "end_ns")
     known = {name: anomaly[name] for name in own}
-    review = Review(verdict=verdict, note=note, reviewed_at=_now(), **known)
+    review = Review(verdict=verdict, note=note, reviewed_at=_now(), reviewed_by=reviewed_by, **known)
     _append(store.root / "reviews.jsonl", asdict(review))
     return review
 
@@ -63,9 +66,10 @@ def add_tag(store: Store, flight_id: str, key: str, value: str | None) -> None:
 
 
 def load_reviews(store: Store) -> list[Review]:
-    """The latest review of each anomaly; raises StoreError."""
+    """Return the latest review of each anomaly, unless it was taken back; raises StoreError."""
     reviews = [Review(**line) for line in _read(store.root / "reviews.jsonl", Review)]
-    return list({review.anomaly_id: review for review in reviews}.values())
+    latest = {review.anomaly_id: review for review in reviews}
+    return [review for review in latest.values() if review.verdict != "open"]
 
 
 def load_tags(store: Store) -> list[Tag]:
@@ -105,7 +109,14 @@ def _read(path: Path, kind: type[Review | Tag]) -> list[dict[str, Any]]:
                 line = json.loads(text)
             except ValueError:
                 continue
-            if not isinstance(line, dict) or set(line) != set(kind.__dataclass_fields__):
+            if not _fits(line, kind):
                 raise StoreError(path, f"a line of it is no {kind.__name__.lower()}", "mend or remove it")
             lines.append(line)
     return lines
+
+
+def _fits(line: Any, kind: type[Review | Tag]) -> bool:
+    """Whether a line has the fields of a record; one of an older version lacks those with defaults."""
+    names = {field.name for field in fields(kind)}
+    needed = {field.name for field in fields(kind) if field.default is MISSING}
+    return isinstance(line, dict) and needed <= set(line) <= names

@@ -1,4 +1,4 @@
-"""Where the images of a flight are."""
+"""The recordings with the images of flights."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ def open_images(flight: FlightRecord, folder: Path) -> Recording:
     """
     if flight.annotations == ANNOTATED:
         return open_recording(folder / ANNOTATED)
-    source = open_recording(Path(os.fsdecode(unquote_to_bytes(urlsplit(flight.source_uri).path))))
+    source = open_recording(source_path(flight.source_uri))
     if source.size_bytes != flight.source_bytes:
         raise RecordingError(source.path, "it is no longer what the flight was made from", "process it again")
     return source
+
+
+def source_path(source_uri: str) -> Path:
+    """Return the path of a recording by the URI that the index has of it."""
+    return Path(os.fsdecode(unquote_to_bytes(urlsplit(source_uri).path)))

@@ -34,7 +34,7 @@ class ModelRecord:
 class RunRecord:
     """One `process` or `batch`: run_id is a UUID, started_at is in UTC, config is plain JSON.
 
-    command and tags, what `--tag` said, are missing in records of before they were kept.
+    command and tags, the tags of the run, are missing in records of before they were kept.
     """
 
     run_id: str
@@ -128,7 +128,8 @@ class FlightRecord:
 class ProcessResult:
     """What `process` did with one recording; the fields are those of `process --json`.
 
-    reason: what was lost, or that it is an annotated copy; warnings: what is odd about it.
+    reason: what was lost, or that it is an annotated copy; warnings: what is odd about it;
+    n_frames_replaced: the frames of the result that this one replaces in the store, None without one.
     """
 
     flight_id: str
@@ -141,6 +142,8 @@ class ProcessResult:
     seconds: float
     reason: str | None = None
     warnings: tuple[str, ...] = ()
+    n_lines: int = 0
+    n_frames_replaced: int | None = None
 
 
 def _to_iso(time: datetime) -> str:

@@ -52,6 +52,7 @@ class Counts:
     n_frames: int = 0
     n_bad_frames: int = 0
     n_segments: int = 0
+    n_lines: int = 0
 
     def plus(self, **more: int) -> Counts:
         """The counts with some of them raised."""
@@ -107,6 +108,7 @@ def summarize_process(
         n_frames=sum(result.n_frames for result in done),
         n_bad_frames=sum(result.n_bad_frames for result in done),
         n_segments=sum(result.n_segments for result in done),
+        n_lines=sum(result.n_lines for result in done),
     )
     return RunSummary(run, datetime.now(UTC), exit_code, None, counts)
 

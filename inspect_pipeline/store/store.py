@@ -34,7 +34,7 @@ from inspect_pipeline.atomic import (
     undo_move_aside,
     write_whole,
 )
-from inspect_pipeline.errors import StoreBusyError, StoreError, StoreVersionError
+from inspect_pipeline.errors import StoreBusyError, StoreVersionError, StoreWriteError
 from inspect_pipeline.store.records import ANNOTATED, RESULT_VERSION, FlightRecord
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ _RESULT = "result.json"
 
 
 def store_path(option: Path | None) -> Path:
-    """The store's folder: the --store option, else LSNET_PIPE_STORE, else ./inspections."""
+    """The store's folder: `option`, else LSNET_PIPE_STORE, else ./inspections."""
     return option or Path(os.environ.get("LSNET_PIPE_STORE") or "inspections")
 
 
@@ -97,14 +97,14 @@ class Staging:
 class Store:
     """The folder `root`; nothing is made on disk before the first write.
 
-    Raises StoreError for a name that DuckDB would take for a pattern or for options.
+    Raises StoreWriteError for a name that DuckDB would take for a pattern or for options.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
         if re.search(r"[?*\\\n]", str(self.root)):
-            raise StoreError(
-                self.root, "a store cannot be in a folder of this name", "give another with --store"
+            raise StoreWriteError(
+                self.root, "a store cannot be in a folder of this name", "use another folder"
             )
         self.index_path = self.root / "index.duckdb"
         self._flights = self.root / "flights"

@@ -358,7 +358,7 @@ def test_odd_folders(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["wh?t", "st*r", "back\\slash", "a\nb"])
 def test_impossible_folders(tmp_path: Path, name: str) -> None:
-    with pytest.raises(StoreError, match="give another with --store"):
+    with pytest.raises(StoreError, match="use another folder"):
         Store(tmp_path / name)
 
 

@@ -65,8 +65,8 @@ def test_json_is_an_array_of_objects(ask: Any) -> None:
     assert json.loads(ask(f"SELECT {', '.join(names)} FROM frames WHERE frame_idx < 2 ORDER BY 1")) == [
         dict(zip(names, row, strict=True))
         for row in (
-            (0, "ok", None, 2.0, "2023-11-14T22:13:20.123456"),
-            (1, "bad", "corrupt JPEG", None, "2023-11-14T22:13:20.223456"),
+            (0, "ok", None, 2.0, "2023-11-14T22:13:20.123456Z"),
+            (1, "bad", "corrupt JPEG", None, "2023-11-14T22:13:20.223456Z"),
         )
     ]
     assert json.loads(ask("SELECT 1 AS x WHERE false")) == []
@@ -81,7 +81,7 @@ VALUES = {
     "12345678901234567890123::HUGEINT": 12345678901234567890123,
     "1.10::DECIMAL(20, 2)": 1.1,
     "DATE '2026-01-02'": "2026-01-02",
-    "TIMESTAMP_NS '2026-01-02 03:04:05.123456789'": "2026-01-02T03:04:05.123456789",
+    "TIMESTAMP_NS '2026-01-02 03:04:05.123456789'": "2026-01-02T03:04:05.123456789Z",
     "TIMESTAMPTZ '2026-01-02 03:04:05+02'": "2026-01-02T01:04:05Z",
     "INTERVAL 90 SECOND": "00:01:30",
     "MAP {'k': 1}": {"k": 1},
@@ -123,7 +123,7 @@ def test_table(ask_child: Any) -> None:
 def test_a_long_table_is_cut_and_says_so(ask: Any) -> None:
     text = ask("FROM range(100000)", "table", limits=QueryLimits(max_rows=10))
     assert text.count("\n") == 13
-    assert text.endswith("(the first 10 rows; all with --format csv)\n")
+    assert text.endswith("(the first 10 rows; a file gets all of them)\n")
 
 
 def test_order_and_number_of_many_rows(ask: Any) -> None:
@@ -156,7 +156,7 @@ def test_parquet(store: Store, tmp_path: Path) -> None:
     ],
 )
 def test_reading_statements(ask: Any, sql: str) -> None:
-    assert ask(sql, "table").endswith(" rows)\n")
+    assert ask(sql, "table").rstrip().endswith(("row)", "rows)"))
 
 
 WRITING = [
@@ -314,7 +314,7 @@ def test_an_output_that_cannot_be_written(
 ) -> None:
     answer_here(monkeypatch)
     for output in (tmp_path / "missing" / "rows", tmp_path):
-        with pytest.raises(QueryError, match="give another file with --output"):
+        with pytest.raises(QueryError, match="; name another file"):
             run_query(store.index_path, "SELECT 1", output=output)
 
 
@@ -324,7 +324,7 @@ def test_command(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     arguments = ["query", "SELECT count(*) AS n FROM frames", "--store", str(store.root)]
     assert json.loads(runner.invoke(app, [*arguments, "--format", "json"]).stdout) == [{"n": 4}]
     assert runner.invoke(app, [*arguments, "--format", "csv"]).stdout == "n\n4\n"
-    assert "(1 rows)" in runner.invoke(app, arguments).stdout
+    assert "(1 row)" in runner.invoke(app, arguments).stdout
     output = tmp_path / "n.parquet"
     assert runner.invoke(app, [*arguments, "--format", "parquet", "-o", str(output)]).exit_code == 0
     assert duckdb.read_parquet(str(output)).fetchall() == [(4,)]
@@ -340,7 +340,7 @@ def test_index_commands(tmp_path: Path) -> None:
     store = Store(tmp_path)
     flight_id = flights.write_flight(store, "a", 3)
     assert runner.invoke(app, ["index", "verify", "--store", str(tmp_path)]).exit_code == 1
-    assert runner.invoke(app, ["index", "rebuild", "--store", str(tmp_path)]).stdout == "1 flights\n"
+    assert runner.invoke(app, ["index", "rebuild", "--store", str(tmp_path)]).stdout == "1 flight\n"
     assert runner.invoke(app, ["index", "verify", "--store", str(tmp_path)]).exit_code == 0
     (store.flight_dir(flight_id) / "lines.parquet").unlink()
     rebuilt = runner.invoke(app, ["index", "rebuild", "--store", str(tmp_path)])

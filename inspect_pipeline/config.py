@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lsnet import Detector
 
 WriteMode = Literal["copy", "sidecar", "none"]  # where annotations go
-SchemaName = Literal["protobuf", "ros2msg"]  # of annotations
+SchemaName = Literal["auto", "protobuf", "ros2msg"]  # of annotations
 ExecutorName = Literal["local", "ray"]  # where a batch has its workers
 
 
@@ -54,7 +54,7 @@ class ProcessOptions:
         strict: refuse a damaged recording instead of processing the part that can be read.
         force: process again what the store already has.
         write: write annotations to a copy of the recording, to a sidecar file of their own, or not at all.
-        schema: message format of the annotations.
+        schema: message format of the annotations; by default ROS 2 messages in ROS 2 bags, else protobuf.
         placing: georeferencing inputs that the recording lacks.
         allow_empty: let a result without decoded frames replace one with some.
     """
@@ -66,7 +66,7 @@ class ProcessOptions:
     strict: bool = False
     force: bool = False
     write: WriteMode = "copy"
-    schema: SchemaName = "protobuf"
+    schema: SchemaName = "auto"
     placing: PlacingOptions = PlacingOptions()
     allow_empty: bool = False
 

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from inspect_pipeline.annotations.annotator import FrameAnnotator
+from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator, message_format
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
 from inspect_pipeline.errors import EmptyResultError
 from inspect_pipeline.georeference.frames import Georeferencer
@@ -23,7 +23,7 @@ from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.recording.reader import RUN_METADATA, open_recording
+from inspect_pipeline.recording.reader import RUN_METADATA, join_phrases, open_recording
 from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
 from inspect_pipeline.store.store import Store
 from inspect_pipeline.tracking.flight import FlightTracker
@@ -184,7 +184,8 @@ def _write_flight(
         annotator = None
         if out:
             out.add_metadata(RUN_METADATA, run_metadata(recording.flight_id, run, model))
-            annotator = FrameAnnotator(out, options.schema)
+            schema = message_format(options.schema, recording.profile)
+            annotator = FrameAnnotator(out, schema, model.score_threshold)
         for n_frames, each in enumerate(detect_frames(frames, detector), 1):
             pose = georeferencer.place(each.frame)
             track_ids = tracker.follow(each.frame, each.detections.lines, pose) if each.detections else None
@@ -210,8 +211,13 @@ def _write_flight(
         source_uri=recording.path.absolute().as_uri(),
         source_bytes=recording.size_bytes,
         status=status,
-        reason="; ".join((*decoded.failures, *losses)) or None,
-        warnings=(*recording.warnings, *frames.warnings, *decoded.warnings),
+        reason=join_phrases((*decoded.failures, *losses)) or None,
+        warnings=(
+            *recording.warnings,
+            *frames.warnings,
+            *decoded.warnings,
+            *_format_warnings(recording, options),
+        ),
         annotations=_ANNOTATION_FILES[options.write],
         ingested_at=datetime.now(UTC),
         run=run,
@@ -230,12 +236,20 @@ def _annotation_writer(
         with annotated_copy(recording, folder / ANNOTATED) as out:
             yield out
     elif options.write == "sidecar":
-        profile = "ros2" if options.schema == "ros2msg" else ""
+        is_ros2 = message_format(options.schema, recording.profile) == "ros2msg"
+        profile = ROS2_PROFILE if is_ros2 else ""
         with sidecar(recording, folder / SIDECAR, profile) as out:
             yield out
     else:
         with unchanged(recording):
             yield None
+
+
+def _format_warnings(recording: Recording, options: ProcessOptions) -> list[str]:
+    if options.write == "copy" and options.schema == "ros2msg" and recording.profile != ROS2_PROFILE:
+        profile = f"profile {recording.profile!r}" if recording.profile else "no profile"
+        return [f"players of ROS 2 bags do not open its annotated copy either: it has {profile}, not 'ros2'"]
+    return []
 
 
 class _DecodeCounts:

@@ -1,9 +1,23 @@
-"""LS-Net, a fast single-shot line-segment detector (Nguyen, Jenssen and Roverso, arXiv 1912.09532)."""
+"""LS-Net, a fast single-shot line-segment detector (Nguyen, Jenssen and Roverso, arXiv 1912.09532).
 
-from lsnet.detector import Detector
-from lsnet.errors import LSNetError
-from lsnet.segments import Detections, Lines, Segments
-from lsnet.weights import WeightsCard, load_weights, save_weights, shipped
+    >>> from lsnet import Detector
+    >>> (found,) = Detector.load().detect("photo.jpg")
+    >>> for points, score in zip(found.lines.points, found.lines.scores):
+    ...     print(score, points)  # (K, 2) x, y in pixels of the photograph
+
+Names are imported on first use, so that `import lsnet` does not load torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lsnet.detector import Detector
+    from lsnet.errors import LSNetError
+    from lsnet.segments import Detections, Lines, Segments
+    from lsnet.weights import WeightsCard, list_weights, load_weights, save_weights
 
 __all__ = [
     "Detections",
@@ -12,7 +26,17 @@ __all__ = [
     "Lines",
     "Segments",
     "WeightsCard",
+    "list_weights",
     "load_weights",
     "save_weights",
-    "shipped",
 ]
+
+_MODULES = {"Detector": "detector", "LSNetError": "errors"} | dict.fromkeys(
+    ("Detections", "Lines", "Segments"), "segments"
+)
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'weights')}"), name)

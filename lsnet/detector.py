@@ -6,11 +6,13 @@ output into segments and lines and undoes the resizing.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lsnet.errors import LSNetError
+from lsnet.images import open_rgb
 from lsnet.postprocess import Postprocessor
 from lsnet.preprocess import MAX_SCALE, automatic_scale, prepare
 from lsnet.runtime import open_backend
@@ -19,9 +21,9 @@ from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from lsnet.arrays import ImageArray, Maps
+    from lsnet.images import ColorOrder, ImageInput
     from lsnet.preprocess import PreparedImage
     from lsnet.runtime import Backend
     from lsnet.segments import Detections
@@ -88,13 +90,23 @@ class Detector:
         """Number of threads of the backend."""
         return self._backend.threads
 
-    def detect(self, images: Sequence[ImageArray]) -> list[Detections]:
-        """Detect segments and lines in uint8 (H, W, 3) RGB images, in the pixels of each image.
+    def detect(
+        self, images: ImageInput | Sequence[ImageInput], *, color: ColorOrder = "rgb"
+    ) -> list[Detections]:
+        """Detect segments and lines; one result per image, in the pixels of that image.
+
+        Args:
+            images: Paths of image files, or uint8 arrays (height, width, 3). A single one is a batch of one.
+            color: Order of the channels of arrays: rgb, or bgr as `cv2.imread` returns. The order cannot
+                be recognised, and the wrong one costs accuracy.
 
         Raises:
-            ValueError: An array has another shape or type, or is empty.
+            LSNetError: A file cannot be read, or an array has another shape or type.
         """
-        prepared = [prepare(_checked(image), self.scale_of(image)) for image in images]
+        if isinstance(images, str | Path) or (isinstance(images, np.ndarray) and images.ndim <= 3):
+            images = [images]
+        opened = [open_rgb(image, color) for image in images]
+        prepared = [prepare(image, self.scale_of(image)) for image in opened]
         maps = self._run(prepared)
         return [self._postprocess(m, image) for m, image in zip(maps, prepared, strict=True)]
 
@@ -113,9 +125,3 @@ class Detector:
             join(*image.padded_size, cut, [next(maps) for _ in cut])
             for image, cut in zip(prepared, tiles, strict=True)
         ]
-
-
-def _checked(image: ImageArray) -> ImageArray:
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
-        raise ValueError(f"images must be uint8 (H, W, 3), not {image.dtype} {image.shape}")
-    return image

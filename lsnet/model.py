@@ -12,6 +12,8 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
+HALVINGS = 4  # from pixels to positions of the interleaved grids, 16 px apart
+
 
 @dataclass(frozen=True, slots=True)
 class LSNetConfig:
@@ -27,6 +29,17 @@ class LSNetConfig:
     stage_blocks: int = 1  # such pairs of convolutions a stage, with `residual`
     pixel_mean: float = 0.5  # of images in [0, 1]
     pixel_std: float = 0.25
+
+    def __post_init__(self) -> None:
+        channels = (*self.stage_channels, self.head_channels, self.stem_channels or 1)
+        if not all(isinstance(c, int) and 0 < c <= 4096 for c in channels):
+            raise ValueError("channels must be whole numbers from 1 to 4096")
+        if len(self.stage_channels) + (self.stem_channels is not None) != HALVINGS:
+            raise ValueError(f"stem and stages must halve the image {HALVINGS} times")
+        if not (0 <= self.context_blocks <= 8 and 1 <= self.stage_blocks <= 8):
+            raise ValueError("too many or too few blocks")
+        if self.norm not in {"group", "batch"} or self.downsample not in {"first", "last"}:
+            raise ValueError("unknown norm or downsampling")
 
 
 PRESETS = {

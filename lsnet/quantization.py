@@ -22,7 +22,7 @@ def quantize_int8(model: Any) -> Any:
         LSNetError: NNCF is not installed.
     """
     if find_spec("nncf") is None:
-        raise LSNetError("NNCF is not installed; pip install 'lsnet-pipe[int8]' or use --runtime openvino")
+        raise LSNetError("NNCF is not installed; pip install 'lsnet-pipe[int8]', or use the runtime openvino")
     import nncf  # noqa: PLC0415 - an extra
 
     # Until quantized networks are shipped with the weights, the only use of training code for inference.

@@ -1,6 +1,6 @@
-"""Weights with everything needed to use them: network, preprocessing, threshold, recipe, measured figures.
+"""Weights with what is needed to use them: network, preprocessing, threshold, recipe, measured figures.
 
-A weights file is safetensors; its header holds one JSON text under the key `lsnet`. Shipped weights lie in
+A weights file is safetensors; its header holds one JSON text under the key `lsnet`. Shipped weights are in
 `lsnet/pretrained` and are checked against the sha256 recorded beside them.
 """
 
@@ -14,6 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
@@ -23,15 +24,22 @@ from lsnet.model import LSNet, LSNetConfig
 
 FORMAT = 1
 HEADER_KEY = "lsnet"
+MAX_FILE_BYTES, MAX_CARD_CHARS = 512 << 20, 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class WeightsCard:
-    """What a weights file says of itself.
+    """Description of a weights file.
 
-    min_score: the score threshold the weights were chosen with. scale: the factor by which frames are
-    resized before detection when the user does not say, None to enlarge small ones only. recipe: how
-    they were trained. metrics: what was measured, by set.
+    Attributes:
+        name: Name of the weights.
+        preset: The preset they were trained from.
+        network: The network they fit.
+        min_score: Score threshold they were chosen with, from 0 to 1.
+        scale: Default factor by which images are resized before detection; None enlarges small ones only.
+        recipe: How they were trained.
+        metrics: Measured figures, by evaluation set.
+        format: Version of this description.
     """
 
     name: str
@@ -44,12 +52,18 @@ class WeightsCard:
     format: int = FORMAT
 
     def to_json(self) -> str:
-        """One JSON object."""
+        """Return the card as a JSON object."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> WeightsCard:
-        """Raises ValueError, KeyError or TypeError on anything but a card of this format."""
+        """Read a card.
+
+        Raises:
+            ValueError, LookupError, TypeError, RecursionError: The text is not a card of this format.
+        """
+        if len(text) > MAX_CARD_CHARS:
+            raise ValueError("a card of more than a megabyte")
         values = json.loads(text)
         if values["format"] != FORMAT:
             raise ValueError(f"format {values['format']}")
@@ -57,7 +71,22 @@ class WeightsCard:
         network["stage_channels"] = tuple(network["stage_channels"])
         if not set(network) <= {f.name for f in fields(LSNetConfig)}:
             raise ValueError("another network description")
-        return cls(network=LSNetConfig(**network), **values)
+        card = cls(network=LSNetConfig(**network), **values)
+        card._check()
+        return card
+
+    def _check(self) -> None:
+        """Raise ValueError for values of another type or out of range."""
+        kinds = {"name": str, "preset": str, "recipe": dict, "metrics": dict}
+        wrong = [name for name, kind in kinds.items() if not isinstance(getattr(self, name), kind)]
+        wrong += ["min_score"] * (not _is_number(self.min_score, 0, 1))
+        wrong += ["scale"] * (self.scale is not None and not _is_number(self.scale, 0.05, 4))
+        if wrong:
+            raise ValueError(f"wrong {', '.join(wrong)} in its card")
+
+
+def _is_number(value: object, low: float, high: float) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,43 +98,54 @@ class Weights:
     sha256: str
 
 
-def shipped() -> dict[str, str]:
-    """Names of the weights in the package, with their sha256."""
+def list_weights() -> list[str]:
+    """Return the names of the weights in the package."""
+    return sorted(_checksums())
+
+
+def _checksums() -> dict[str, str]:
+    """sha256 of the shipped weights, by name."""
     text = resources.files("lsnet.pretrained").joinpath("sha256.json").read_text()
     names: dict[str, str] = json.loads(text)
     return names
 
 
-def save_weights(path: Path, net: LSNet, card: WeightsCard) -> str:
-    """Write a weights file; its sha256. Raises LSNetError when it cannot be written."""
+def save_weights(path: str | Path, net: LSNet, card: WeightsCard) -> str:
+    """Write a weights file and return its sha256.
+
+    Raises:
+        LSNetError: The file cannot be written.
+    """
     tensors = {name: tensor.contiguous() for name, tensor in net.state_dict().items()}
     data = save_tensors(tensors, {HEADER_KEY: card.to_json()})
     try:
-        path.write_bytes(data)
+        Path(path).write_bytes(data)
     except OSError as err:
         raise LSNetError(f"{path}: cannot be written ({err.strerror}); name another file") from err
     return hashlib.sha256(data).hexdigest()
 
 
 def load_weights(weights: str | Path) -> Weights:
-    """Weights by shipped name or by file; every tensor must be there and fit.
+    """Load weights by shipped name or file; every tensor must be present and fit.
 
-    Raises LSNetError when there are none of that name, or the file is damaged or of another version.
+    Raises:
+        LSNetError: There are none of that name, or the file is damaged or of another version.
     """
-    known = shipped()
-    path = _find(weights, known)
+    checksums = _checksums()
+    path = _find(weights, checksums)
     try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise LSNetError(f"{path}: too large for weights ({path.stat().st_size >> 20} MiB)")
         data = path.read_bytes()
     except OSError as err:
         raise LSNetError(f"{path}: cannot be read ({err.strerror}); give a file you may read") from err
     sha256 = hashlib.sha256(data).hexdigest()
-    if str(weights) in known and known[str(weights)] != sha256:
+    if checksums.get(str(weights), sha256) != sha256:
         raise LSNetError(f"{path}: damaged (sha256 {sha256[:16]}...); install the package again")
     try:
         with safe_open(path, framework="pt") as header:
             card = WeightsCard.from_json(header.metadata()[HEADER_KEY])
-        net = LSNet(card.network)
-        net.load_state_dict(load_tensors(data), strict=True)
+        net = _network_of(card.network, load_tensors(data))
     except (SafetensorError, ValueError, LookupError, ArithmeticError, TypeError, RuntimeError) as err:
         reason = textwrap.shorten(str(err), 200, placeholder=" ...")
         raise LSNetError(
@@ -114,11 +154,25 @@ def load_weights(weights: str | Path) -> Weights:
     return Weights(net.eval(), card, sha256)
 
 
-def _find(weights: str | Path, known: dict[str, str]) -> Path:
-    if str(weights) in known:
+def _network_of(config: LSNetConfig, tensors: dict[str, torch.Tensor]) -> LSNet:
+    """Build a network around tensors; without memory of its own, since a card may describe a huge one."""
+    with torch.device("meta"):
+        net = LSNet(config)
+    types = {name: tensor.dtype for name, tensor in net.state_dict().items()}
+    copies = {name: tensor.to(types.get(name), copy=True) for name, tensor in tensors.items()}
+    net.load_state_dict(copies, strict=True, assign=True)
+    return net
+
+
+def _find(weights: str | Path, checksums: dict[str, str]) -> Path:
+    if str(weights) in checksums:
         return Path(str(resources.files("lsnet.pretrained").joinpath(f"{weights}.safetensors")))
     path = Path(weights)
-    if not path.is_file():
-        names = ", ".join(sorted(known)) or "none"
+    try:
+        is_file = path.is_file()
+    except (OSError, ValueError):  # too long for a path, or with a null byte
+        is_file = False
+    if not is_file:
+        names = ", ".join(sorted(checksums)) or "none"
         raise LSNetError(f"{weights}: no such weights; give a .safetensors file or a shipped name ({names})")
     return path

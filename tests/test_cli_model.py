@@ -166,7 +166,7 @@ def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: p
     made = run(*words, "--chart", "chart.svg")
     assert (made.exit_code, made.stderr) == (0, "")
     assert made.stdout.splitlines()[0].endswith("| ODS m | ms, torch | ms, openvino f32 |")
-    assert ">small</text>" in (tmp_path / "chart.svg").read_text()
+    assert ">small<" in (tmp_path / "chart.svg").read_text()
     (told,) = (json.loads(line) for line in run(*words, "--json").stdout.splitlines())
     assert told["result"]["name"] == "small"
     assert told["cpu_ms"] == {"torch": 2.0, "openvino f32": 1.0}

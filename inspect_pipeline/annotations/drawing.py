@@ -1,4 +1,4 @@
-"""What is drawn onto an image: lines when there are any, else segments, coloured by score."""
+"""What is drawn onto an image: its lines, coloured by score."""
 
 from __future__ import annotations
 
@@ -7,45 +7,39 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 
+from inspect_pipeline.images.draw import score_colours
+
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Floats32
     from lsnet.segments import Detections
 
-THICKNESS_PX = 2.0
 LINE_STRIP, LINE_LIST = int(PointsAnnotation.LINE_STRIP), int(PointsAnnotation.LINE_LIST)
-_FAINT_RGBA = np.array([1.0, 0.55, 0.0, 1.0])  # at score 0; blends into
-_SURE_RGBA = np.array([0.0, 1.0, 1.0, 1.0])  # at score 1
+_MIN_THICKNESS_PX, _WIDTHS_PER_IMAGE = 2.0, 500  # 2 px are invisible on an image of 20 megapixels
 
 
 class Drawing(NamedTuple):
-    """One annotation: (N, 2) points in pixels, and (M, 4) RGBA.
-
-    Of a LINE_LIST there is a colour per pair of points, of a LINE_STRIP one for the whole.
-    """
+    """One annotation: its type, points (N, 2) in pixels, RGBA (4,) in [0, 1], and thickness in pixels."""
 
     kind: int
     points: Floats32
-    colours: Floats
+    colour: Floats
+    thickness_px: float
 
 
-def draw(detections: Detections | None) -> list[Drawing]:
-    """The annotations of an image; one without points where there is nothing to draw.
+def draw(detections: Detections | None, min_score: float) -> list[Drawing]:
+    """Return an annotation for each line; an empty one where there is nothing to draw.
 
-    Viewers match annotations to images by their stamps, so an image without any keeps the last ones.
+    Viewers match annotations to images by their stamps, so they would show those of an earlier image on one
+    that has none. Colours are spread over the scores from `min_score` to 1.
     """
-    if detections and len(detections.lines):
-        colours = _colours(detections.lines.scores)
-        return [
-            Drawing(LINE_STRIP, points, colours[i : i + 1])
-            for i, points in enumerate(detections.lines.points)
-        ]
-    if detections and len(detections.segments):
-        segments = detections.segments
-        return [Drawing(LINE_LIST, segments.endpoints.reshape(-1, 2), _colours(segments.scores))]
-    return [Drawing(LINE_LIST, np.zeros((0, 2), np.float32), np.zeros((0, 4)))]
-
-
-def _colours(scores: Floats32) -> Floats:
-    """(N, 4) RGBA of (N,) scores."""
-    colours: Floats = _FAINT_RGBA + scores[:, np.newaxis] * (_SURE_RGBA - _FAINT_RGBA)
-    return colours
+    if not detections or not len(detections.lines):
+        return [Drawing(LINE_LIST, np.zeros((0, 2), np.float32), np.zeros(4), _MIN_THICKNESS_PX)]
+    _, width = detections.segments.image_size
+    thickness_px = max(_MIN_THICKNESS_PX, width / _WIDTHS_PER_IMAGE)
+    lines = detections.lines
+    colours = np.ones((len(lines), 4))
+    colours[:, :3] = score_colours(lines.scores, min_score) / 255
+    return [
+        Drawing(LINE_STRIP, points, colour, thickness_px)
+        for points, colour in zip(lines.points, colours, strict=True)
+    ]

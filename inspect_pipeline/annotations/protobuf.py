@@ -1,6 +1,6 @@
 """Annotations in protobuf: foxglove.ImageAnnotations, and lsnet.Detections (schemas/lsnet_detections.proto).
 
-Their elements have fixed sizes, so NumPy lays them out all at once.
+Their elements have fixed sizes, so NumPy lays them out all at once: see benchmarks/bench_encode.py.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from foxglove_schemas_protobuf import ImageAnnotations_pb2
 
-from inspect_pipeline.annotations.drawing import LINE_STRIP, THICKNESS_PX, draw
+from inspect_pipeline.annotations.drawing import draw
 from inspect_pipeline.annotations.schema import ANNOTATIONS_SUFFIX, DETECTIONS_SUFFIX, AnnotationSchema
 from inspect_pipeline.messages.protobuf import (
     DOUBLE,
@@ -33,32 +33,31 @@ if TYPE_CHECKING:
 
 _POINTS = Elements(3, 2, DOUBLE)  # foxglove.PointsAnnotation.points
 _OUTLINE_COLOUR = Elements(4, 4, DOUBLE)  # foxglove.PointsAnnotation.outline_color
-_OUTLINE_COLOURS = Elements(5, 4, DOUBLE)  # foxglove.PointsAnnotation.outline_colors
 _SEGMENTS = Elements(6, 5, FLOAT)  # lsnet.Detections.segments
 _LINE_POINTS = Elements(1, 2, FLOAT)  # lsnet.Line.points
 
 
 @cache
 def image_annotations_schema() -> bytes:
-    """foxglove.ImageAnnotations as a serialised FileDescriptorSet."""
+    """Return the FileDescriptorSet of foxglove.ImageAnnotations."""
     return file_descriptor_set(ImageAnnotations_pb2.DESCRIPTOR)
 
 
 @cache
 def detections_schema() -> bytes:
-    """lsnet.Detections as a serialised FileDescriptorSet."""
+    """Return the FileDescriptorSet of lsnet.Detections."""
     return files("inspect_pipeline.schemas").joinpath("lsnet_detections.binpb").read_bytes()
 
 
-def encode_image_annotations(frame: Frame, detections: Detections | None) -> bytes:
-    """A foxglove.ImageAnnotations message, with the image's stamp on it and on every annotation."""
+def encode_image_annotations(frame: Frame, detections: Detections | None, min_score: float = 0.0) -> bytes:
+    """Encode foxglove.ImageAnnotations, with the image's stamp on the message and on every annotation."""
     stamp = timestamp(frame.stamp_ns)
-    drawings = (_points_annotation(stamp, drawing) for drawing in draw(detections))
+    drawings = (_points_annotation(stamp, drawing) for drawing in draw(detections, min_score))
     return b"".join(field(2, drawing) for drawing in drawings) + field(5, stamp)
 
 
-def encode_detections(frame: Frame, detections: Detections | None) -> bytes:
-    """An lsnet.Detections message; of an image that could not be decoded, with the reason."""
+def encode_detections(frame: Frame, detections: Detections | None, _: float = 0.0) -> bytes:
+    """Encode lsnet.Detections; of an image that could not be decoded, with the reason."""
     height, width = detections.segments.image_size if detections else (0, 0)
     head = (
         field(1, timestamp(frame.stamp_ns))
@@ -78,10 +77,12 @@ def encode_detections(frame: Frame, detections: Detections | None) -> bytes:
 
 
 def _points_annotation(stamp: bytes, drawing: Drawing) -> bytes:
-    colours = (_OUTLINE_COLOUR if drawing.kind == LINE_STRIP else _OUTLINE_COLOURS).encode(drawing.colours)
-    thickness = double_field(7, THICKNESS_PX)
     return (
-        field(1, stamp) + varint_field(2, drawing.kind) + _POINTS.encode(drawing.points) + colours + thickness
+        field(1, stamp)
+        + varint_field(2, drawing.kind)
+        + _POINTS.encode(drawing.points)
+        + _OUTLINE_COLOUR.encode(drawing.colour[np.newaxis])
+        + double_field(7, drawing.thickness_px)
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.annotations.drawing import LINE_STRIP, THICKNESS_PX, draw
+from inspect_pipeline.annotations.drawing import draw
 from inspect_pipeline.annotations.schema import ANNOTATIONS_SUFFIX, DETECTIONS_SUFFIX, AnnotationSchema
 from inspect_pipeline.messages.cdr import CdrWriter
 
@@ -19,14 +19,11 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording.types import Frame
     from lsnet.segments import Detections
 
-_NO_COLOUR = np.zeros(4)
-_NO_COLOURS = np.zeros((0, 4))
 
-
-def encode_image_annotations(frame: Frame, detections: Detections | None) -> bytes:
-    """A foxglove_msgs/msg/ImageAnnotations message, every annotation with the image's stamp."""
+def encode_image_annotations(frame: Frame, detections: Detections | None, min_score: float = 0.0) -> bytes:
+    """Encode foxglove_msgs/msg/ImageAnnotations, every annotation with the image's stamp."""
     out = CdrWriter()
-    drawings = draw(detections)
+    drawings = draw(detections, min_score)
     out.number("I", 0)  # circles
     out.number("I", len(drawings))
     for drawing in drawings:
@@ -36,18 +33,17 @@ def encode_image_annotations(frame: Frame, detections: Detections | None) -> byt
 
 
 def _write_points_annotation(out: CdrWriter, stamp_ns: int, drawing: Drawing) -> None:
-    is_strip = drawing.kind == LINE_STRIP
     out.time(stamp_ns)
     out.number("B", drawing.kind)
     out.sequence(drawing.points, "<f8")
-    out.numbers(drawing.colours[0] if is_strip else _NO_COLOUR, "<f8")
-    out.sequence(_NO_COLOURS if is_strip else drawing.colours, "<f8")
-    out.numbers(_NO_COLOUR, "<f8")  # of the inside
-    out.number("d", THICKNESS_PX)
+    out.numbers(drawing.colour, "<f8")
+    out.sequence(np.zeros((0, 4)), "<f8")  # colours of single points
+    out.numbers(np.zeros(4), "<f8")  # fill
+    out.number("d", drawing.thickness_px)
 
 
-def encode_detections(frame: Frame, detections: Detections | None) -> bytes:
-    """An lsnet_msgs/msg/Detections message; of an image that could not be decoded, with the reason."""
+def encode_detections(frame: Frame, detections: Detections | None, _: float = 0.0) -> bytes:
+    """Encode lsnet_msgs/msg/Detections; of an image that could not be decoded, with the reason."""
     height, width = detections.segments.image_size if detections else (0, 0)
     out = CdrWriter()
     out.time(frame.stamp_ns)
@@ -74,7 +70,7 @@ def _definition(name: str) -> bytes:
     return files("inspect_pipeline.schemas").joinpath(name).read_bytes()
 
 
-# Readers of rosbag2 want the key of the quality of service, which may be empty.
+# Readers of rosbag2 require the key of the quality of service, which may be empty.
 _QOS = {"offered_qos_profiles": ""}
 ROS2 = (
     AnnotationSchema(

@@ -1,4 +1,4 @@
-"""One kind of message that stands for what was found in a frame."""
+"""How a kind of annotation message is declared and encoded."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ DETECTIONS_SUFFIX = "/lsnet/detections"
 
 
 class AnnotationSchema(NamedTuple):
-    """How a channel of annotations is declared and its messages are made.
+    """A channel of annotations.
 
-    `data` is the schema as MCAP wants it; `encode` takes a frame and what was found in it, None when its
-    image could not be decoded.
+    topic_suffix: what its topic adds to that of the images. data: returns the schema as it stands in the
+    file. encode: makes a message of a frame, of its detections (None when its image could not be decoded),
+    and of the least score of a detection.
     """
 
     topic_suffix: str
@@ -26,5 +27,5 @@ class AnnotationSchema(NamedTuple):
     encoding: str
     data: Callable[[], bytes]
     message_encoding: str
-    encode: Callable[[Frame, Detections | None], bytes]
+    encode: Callable[[Frame, Detections | None, float], bytes]
     channel_metadata: Mapping[str, str] = {}

@@ -90,7 +90,7 @@ def batch(
     every: EveryOption = 1,
     strict: StrictOption = False,
     write: WriteOption = "copy",
-    schema: SchemaOption = "protobuf",
+    schema: SchemaOption = "auto",
     ground_alt: GroundAltOption = None,
     dem: DemOption = None,
     view: ViewOption = None,

@@ -203,7 +203,8 @@ def compare(
     steps: Annotated[int, typer.Option(min=1, help="Batches to train each network on.")] = 4000,
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw images.")] = 1,
     chart: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a chart of ODS against time, SVG.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a chart of ODS over time, .svg or .png (extra plot)."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

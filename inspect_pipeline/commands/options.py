@@ -115,7 +115,7 @@ WriteOption = Annotated[
 ]
 SchemaOption = Annotated[
     SchemaName,
-    typer.Option(help="Encoding of the annotations: protobuf, or ROS 2 messages for use in ROS."),
+    typer.Option(help="Format of the annotations; auto: ROS 2 messages in ROS 2 bags, else protobuf."),
 ]
 GroundAltOption = Annotated[
     float | None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -38,6 +39,11 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.store.records import ProcessResult
 
+_VIEWER_NOTE = (
+    "note: viewers hide annotations at first; in the settings of the Image panel switch on the topics "
+    "that end in /lsnet/annotations (eye) and Sync annotations"
+)
+
 
 def process(
     files: Annotated[
@@ -56,7 +62,7 @@ def process(
     ] = None,
     strict: StrictOption = False,
     write: WriteOption = "copy",
-    schema: SchemaOption = "protobuf",
+    schema: SchemaOption = "auto",
     force: Annotated[
         bool, typer.Option("--force", help="Process recordings that are in the store already.")
     ] = False,
@@ -133,6 +139,9 @@ def process(
     if results:
         publish(the_store)
     _print_results(results, as_json=as_json)
+    has_new_annotations = any(result.annotated and result.status != "skipped" for result in results)
+    if has_new_annotations and not as_json and sys.stderr.isatty():
+        typer.echo(_VIEWER_NOTE, err=True)
     raise typer.Exit(exit_code)
 
 

@@ -97,7 +97,7 @@ def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterat
     try:
         yield from batches
     except LSNetError as err:  # from a worker it comes with a traceback, the message last
-        raise LSNetError(str(err).rstrip().rpartition("LSNetError: ")[2]) from err
+        raise LSNetError(str(err.args[0]).rstrip().rpartition("LSNetError: ")[2]) from err
 
 
 def _single_threaded(_worker: int) -> None:

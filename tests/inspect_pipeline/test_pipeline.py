@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording, shots
 from fakes import FakeDetector
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError, StoreError
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from inspect_pipeline.store.records import ProcessResult
+
+ANNOTATIONS = ("detections", "annotations")  # what topics of ours end in
 
 
 @pytest.fixture
@@ -55,9 +57,11 @@ def test_every_frame_has_its_row_and_its_annotation(tmp_path: Path, store: Store
     ]
     assert rows(store, "SELECT x1, y1, x2, y2 FROM segments WHERE frame_idx = 1") == [(1, 0.5, 9, 4.5)]
     with result.annotated.open("rb") as file:
-        topic = f"{CAMERA}/lsnet/annotations"
-        written = [ImageAnnotations.FromString(m.data) for *_, m in make_reader(file).iter_messages([topic])]
-    assert [len(message.points[0].points) // 2 for message in written] == [0, 1, 2, 3, 3]
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = [list(reader.iter_decoded_messages([f"{CAMERA}/lsnet/{name}"])) for name in ANNOTATIONS]
+    written, drawn = ([each.decoded_message for each in messages] for messages in found)
+    assert [len(message.segments) for message in written] == [0, 1, 2, 3, 3]
+    assert [len(message.points) for message in drawn] == [1] * 5  # without points: there are no lines
 
 
 def test_the_annotated_copy_says_how_it_was_made(tmp_path: Path, store: Store) -> None:

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from nets import TINY, openvino_or_skip, save_tiny, tiny_net
 
 from lsnet import Detector, LSNetError, load_weights, tiles
+from lsnet.files import write_png
 from lsnet.model import PRESETS
 from lsnet.runtime import InferenceModule, OpenVinoBackend, TorchBackend, open_backend
 from lsnet.weights import Weights, WeightsCard
@@ -117,7 +118,7 @@ def test_a_quantised_network_says_nearly_the_same(capfd: pytest.CaptureFixture[s
 def test_nncf_that_is_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     openvino_or_skip()
     monkeypatch.setattr("lsnet.quantization.find_spec", lambda _name: None)
-    with pytest.raises(LSNetError, match=r"NNCF is not installed; pip install 'lsnet-pipe\[int8\]'"):
+    with pytest.raises(LSNetError, match=r"NNCF is not installed; pip install 'lsnet-pipe\[int8\]', or use"):
         open_backend(tiny_net(), "openvino-int8")
 
 
@@ -143,6 +144,19 @@ def test_openvino_tells_nobody_that_it_is_used(openvino_backend: Backend) -> Non
     assert sys.modules["openvino_telemetry"] is None
     with pytest.raises(ImportError):
         importlib.import_module("openvino_telemetry")
+
+
+def test_conversion_to_openvino_does_not_warn(recwarn: pytest.WarningsRecorder) -> None:
+    openvino_or_skip()
+    OpenVinoBackend(tiny_net())
+    assert [str(w.message) for w in recwarn] == []
+
+
+def test_an_openvino_that_cannot_be_imported_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openvino", None)
+    monkeypatch.setattr("lsnet.runtime.find_spec", lambda _name: True)
+    with pytest.raises(LSNetError, match=r"OpenVINO is not installed; pip install 'lsnet-pipe\[openvino\]'"):
+        open_backend(tiny_net(), "openvino")
 
 
 def test_runtimes_by_name() -> None:
@@ -306,12 +320,45 @@ def test_torch_and_openvino_find_the_same_segments(openvino_backend: Backend) ->
         np.zeros((40, 40, 3), np.float32),
         np.zeros((1, 40, 40, 3), np.uint8),
         np.zeros((0, 40, 3), np.uint8),
+        torch.zeros(40, 40, 3, dtype=torch.uint8),
+        None,
+        b"JPEG",
     ],
-    ids=["grey", "alpha", "float", "batch", "empty"],
+    ids=["grey", "alpha", "float", "batch", "empty", "tensor", "none", "bytes"],
 )
-def test_arrays_that_are_no_images_are_refused(image: NDArray[np.generic]) -> None:
-    with pytest.raises(ValueError, match=r"images must be|empty"):
-        detector(TorchBackend(tiny_net())).detect([image])
+def test_images_of_another_type_or_shape_are_refused(image: object) -> None:
+    used = detector(TorchBackend(tiny_net()))
+    with pytest.raises(LSNetError, match=r"must be uint8 arrays \(height, width, 3\)|is not an image"):
+        used.detect([image])
+    if isinstance(image, np.ndarray) and image.ndim < 4:
+        with pytest.raises(LSNetError, match="images must be uint8 arrays"):
+            used.detect(image)
+
+
+def test_paths_single_images_and_stacks_are_accepted(tmp_path: Path) -> None:
+    image = photo(40, 64)
+    write_png(tmp_path / "x.png", image)
+    used = detector(TorchBackend(tiny_net()), min_score=0.0)
+    (expected,) = used.detect([image])
+    path = tmp_path / "x.png"
+    bgr = np.ascontiguousarray(image[..., ::-1])
+    for found in (
+        used.detect(str(path)),
+        used.detect(path),
+        used.detect([path, str(path)])[1:],
+        used.detect(image),
+        used.detect(np.stack([image, image]))[1:],
+        used.detect(bgr, color="bgr"),
+        used.detect(path, color="bgr"),  # of arrays only
+    ):
+        (one,) = found
+        np.testing.assert_array_equal(one.segments.endpoints, expected.segments.endpoints)
+        np.testing.assert_array_equal(one.segments.scores, expected.segments.scores)
+    assert not np.array_equal(used.detect(bgr)[0].segments.scores, expected.segments.scores)
+    with pytest.raises(LSNetError, match=r"none\.jpg: cannot be read as an image"):
+        used.detect("none.jpg")
+    with pytest.raises(LSNetError, match="no color order 'rgba'; choose rgb or bgr"):
+        used.detect(image, color="rgba")
 
 
 def test_a_loaded_detector_takes_what_its_weights_say(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import resource
+import time
 from importlib import resources
 from typing import TYPE_CHECKING
 
@@ -19,7 +21,7 @@ from safetensors.torch import load_file, save_file
 
 from lsnet import Detector, weights
 from lsnet.errors import LSNetError
-from lsnet.weights import WeightsCard, load_weights, save_weights, shipped
+from lsnet.weights import WeightsCard, list_weights, load_weights, save_weights
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,6 +110,65 @@ def test_other_networks_are_refused(saved: Path, key: str, value: object) -> Non
         load_weights(saved)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("min_score", value) for value in ("x", None, [1], True, -1, 2)),
+        *(("scale", value) for value in ("2", [1], 0, 1e9)),
+        *(("name", 3), ("preset", None), ("recipe", []), ("metrics", "good")),
+    ],
+)
+def test_card_values_of_another_type_or_range_are_refused(saved: Path, key: str, value: object) -> None:
+    card = json.loads(header(saved)["lsnet"]) | {key: value}
+    save_file(load_file(saved), saved, {"lsnet": json.dumps(card)})
+    with pytest.raises(LSNetError, match=f"not weights that this version can use .wrong {key} in its card"):
+        load_weights(saved)
+
+
+@pytest.mark.parametrize("value", [[4096] * 3, [9000] * 3, [4] * 100_000, [4.5] * 3, [True] * 3])
+def test_a_card_of_a_huge_network_costs_nothing(saved: Path, value: list[object]) -> None:
+    card = json.loads(header(saved)["lsnet"])
+    card["network"]["stage_channels"] = value
+    save_file(load_file(saved), saved, {"lsnet": json.dumps(card)})
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    started = time.process_time()
+    with pytest.raises(LSNetError, match="not weights that this version can use"):
+        load_weights(saved)
+    assert time.process_time() - started < 5
+    assert (
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+    )  # KiB; such layers take 1.7 GB
+
+
+@pytest.mark.parametrize("card", ['{"a":' + "[" * 200_000, '{"format": ' + "9" * 5000 + "}", "x" * 2_000_000])
+def test_deep_and_long_cards_are_one_short_line(saved: Path, card: str) -> None:
+    save_file(load_file(saved), saved, {"lsnet": card})
+    with pytest.raises(LSNetError, match="not weights that this version can use") as error:
+        load_weights(saved)
+    assert len(str(error.value)) < 500
+
+
+def test_files_too_large_for_weights_are_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "big.safetensors").open("wb") as file:
+        file.truncate(100 << 30)  # a hole: takes no space
+    with pytest.raises(LSNetError, match=r"too large for weights \(102400 MiB\)"):
+        load_weights(tmp_path / "big.safetensors")
+
+
+@pytest.mark.parametrize("name", ["x" * 1_000_000, "a\nb", "a\0b"])
+def test_names_that_are_no_paths_are_one_short_line(name: str) -> None:
+    with pytest.raises(LSNetError, match="no such weights") as error:
+        load_weights(name)
+    assert len(str(error.value)) < 1000
+    assert "\n" not in str(error.value)
+
+
+def test_paths_may_be_strings(tmp_path: Path) -> None:
+    path = str(tmp_path / "w.safetensors")
+    sha256 = save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5))
+    assert load_weights(path).sha256 == sha256
+
+
 @pytest.mark.parametrize("length", [0, 7, 100, 2000])
 def test_files_that_are_cut_off_are_refused(saved: Path, length: int) -> None:
     saved.write_bytes(saved.read_bytes()[:length])
@@ -137,8 +198,8 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
 def test_shipped_weights_are_what_was_recorded() -> None:
     folder = resources.files("lsnet.pretrained")
     files = {f.name.removesuffix(".safetensors") for f in folder.iterdir() if f.name.endswith(".safetensors")}
-    assert files == set(shipped())
-    for name, sha256 in shipped().items():
+    assert sorted(files) == list_weights()
+    for name, sha256 in json.loads(folder.joinpath("sha256.json").read_text()).items():
         loaded = load_weights(name)
         data = folder.joinpath(f"{name}.safetensors").read_bytes()
         assert sha256 == loaded.sha256 == hashlib.sha256(data).hexdigest()
@@ -151,7 +212,7 @@ def test_shipped_weights_are_what_was_recorded() -> None:
 
 
 def test_shipped_weights_that_changed_are_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(weights, "shipped", lambda: {"tiny": "0" * 64})
+    monkeypatch.setattr(weights, "_checksums", lambda: {"tiny": "0" * 64})
     monkeypatch.setattr(weights.resources, "files", lambda _package: saved.parent)
     with pytest.raises(LSNetError, match="damaged"):
         load_weights("tiny")

@@ -13,7 +13,7 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.evaluation.baselines.lengths import by_length
-from lsnet.runtime import import_openvino
+from lsnet.runtime import OPENVINO_MISSING, import_openvino
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +37,7 @@ class MLSD:
         try:
             ov = import_openvino()
         except ImportError as err:
-            raise LSNetError("OpenVINO is not installed; pip install 'lsnet-pipe[openvino]'") from err
+            raise LSNetError(OPENVINO_MISSING) from err
         try:
             self._model = ov.Core().compile_model(str(path), "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
         except RuntimeError as err:

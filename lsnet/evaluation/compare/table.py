@@ -1,12 +1,11 @@
-"""What `model compare` prints and draws."""
+"""Table and chart of `model compare`."""
 
 from __future__ import annotations
 
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from lsnet.errors import LSNetError
-from lsnet.evaluation.compare.chart import Point, chart
+from lsnet.evaluation.compare.chart import ChartPoint, draw_chart
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def table(rows: Sequence[Row]) -> list[str]:
-    """A Markdown table, line by line."""
+    """Return a Markdown table, line by line."""
     runtimes = list(rows[0].cpu_ms)
     sets = list(rows[0].result.ods)
     heads = ["", "parameters", "validation loss", *(f"ODS {name}" for name in sets)]
@@ -31,13 +30,10 @@ def table(rows: Sequence[Row]) -> list[str]:
 
 
 def write_chart(rows: Sequence[Row], path: Path) -> None:
-    """ODS, the mean of the sets, against time in the fastest runtime. Raises LSNetError."""
+    """Draw the ODS, averaged over the sets, against the time in the fastest runtime. Raises LSNetError."""
     runtime = min(rows[0].cpu_ms, key=lambda name: rows[0].cpu_ms[name])
-    points = [Point(row.result.name, row.cpu_ms[runtime], fmean(row.result.ods.values())) for row in rows]
-    svg = chart(
-        points, f"CPU ms a frame of 512 x 512, one thread, {runtime}", "ODS at 1 px, mean of the sets"
-    )
-    try:
-        path.write_text(svg, encoding="utf-8")
-    except OSError as err:
-        raise LSNetError(f"{path}: cannot be written ({err.strerror}); name another file") from err
+    points = [
+        ChartPoint(row.result.name, row.cpu_ms[runtime], fmean(row.result.ods.values())) for row in rows
+    ]
+    x_label = f"CPU time per frame of 512 x 512 on one thread, ms ({runtime})"
+    draw_chart(points, path, x_label, "ODS at 1 px, mean of the sets")

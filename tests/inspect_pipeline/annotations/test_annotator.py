@@ -61,33 +61,40 @@ def message_class(schema: bytes, name: str):
     return GetMessageClass(pool.FindMessageTypeByName(name))
 
 
-@pytest.mark.parametrize("n_segments", [1, 2, 200])
-def test_segments_are_one_line_list(n_segments: int) -> None:
-    detections = some_detections(n_segments)
-    message = ImageAnnotations.FromString(encode_image_annotations(frame(), detections))
-    (drawn,) = message.points
-    assert drawn.type == PointsAnnotation.LINE_LIST
-    points = np.array([(p.x, p.y) for p in drawn.points])
-    np.testing.assert_array_equal(points.reshape(-1, 4), detections.segments.endpoints)
-    assert len(drawn.outline_colors) == n_segments
-    blue = [colour.b for colour in drawn.outline_colors]
-    assert np.argsort(blue).tolist() == np.argsort(detections.segments.scores).tolist()
-    assert all(0 <= v <= 1 for c in drawn.outline_colors for v in (c.r, c.g, c.b, c.a))
-    assert drawn.thickness == 2
-    assert message.timestamp.ToNanoseconds() == drawn.timestamp.ToNanoseconds() == STAMP_NS
-
-
-def test_lines_are_strips_and_stand_for_their_segments() -> None:
+def test_lines_are_strips() -> None:
     detections = some_detections(9, n_lines=3)
     message = ImageAnnotations.FromString(encode_image_annotations(frame(), detections))
     assert [drawn.type for drawn in message.points] == [PointsAnnotation.LINE_STRIP] * 3
     for drawn, points in zip(message.points, detections.lines.points, strict=True):
         np.testing.assert_array_equal([(p.x, p.y) for p in drawn.points], points)
-        assert drawn.timestamp.ToNanoseconds() == STAMP_NS
+        assert drawn.timestamp.ToNanoseconds() == message.timestamp.ToNanoseconds() == STAMP_NS
         assert drawn.outline_color.a == 1
 
 
-@pytest.mark.parametrize("detections", [None, Detections.empty(SIZE)])
+@pytest.mark.parametrize(("width", "thickness_px"), [(320, 2), (1000, 2), (2000, 4), (5472, 5472 / 500)])
+def test_lines_are_as_thick_as_the_image_needs(width: int, thickness_px: float) -> None:
+    size = (100, width)
+    lines = Lines((np.zeros((2, 2), np.float32),), np.ones(1, np.float32), size)
+    detections = Detections(Segments(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), size), lines)
+    (drawn,) = ImageAnnotations.FromString(encode_image_annotations(frame(), detections)).points
+    assert drawn.thickness == thickness_px
+
+
+def test_colours_are_spread_from_the_least_score_to_1_and_are_not_those_of_foliage() -> None:
+    scores = np.array([0.5, 0.6, 0.75, 0.9, 1.0], np.float32)
+    lines = Lines(tuple(np.zeros((2, 2), np.float32) for _ in scores), scores, SIZE)
+    detections = Detections(Segments(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), SIZE), lines)
+    message = ImageAnnotations.FromString(encode_image_annotations(frame(), detections, 0.5))
+    colours = np.array([(c.r, c.g, c.b) for c in (drawn.outline_color for drawn in message.points)])
+    assert ((colours >= 0) & (colours <= 1)).all()
+    steps = np.linalg.norm(np.diff(colours, axis=0), axis=1)
+    whole = np.linalg.norm(colours[-1] - colours[0])
+    np.testing.assert_allclose(steps / whole, np.diff(scores) / 0.5, atol=0.02)
+    assert whole > 0.5  # told apart at a glance
+    assert (colours[:, 1] < colours[:, 2]).all()  # neither green nor yellow nor brown
+
+
+@pytest.mark.parametrize("detections", [None, Detections.empty(SIZE), some_detections(9)])
 def test_a_frame_without_lines_still_has_a_stamped_annotation(detections: Detections | None) -> None:
     bad = frame(error="the image is empty") if detections is None else frame()
     message = ImageAnnotations.FromString(encode_image_annotations(bad, detections))
@@ -128,8 +135,8 @@ def test_a_bad_image_says_why() -> None:
 
 def test_the_image_annotations_schema_stands_alone() -> None:
     decode = message_class(image_annotations_schema(), "foxglove.ImageAnnotations")
-    message = decode.FromString(encode_image_annotations(frame(), some_detections(3)))
-    assert len(message.points[0].points) == 6
+    message = decode.FromString(encode_image_annotations(frame(), some_detections(3, n_lines=2)))
+    assert [len(drawn.points) for drawn in message.points] == [2, 3]
 
 
 def test_the_compiled_schema_says_what_the_proto_file_says() -> None:

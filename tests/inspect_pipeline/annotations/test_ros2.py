@@ -8,21 +8,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from factories import CAMERA, STAMP_LAG_NS, START_NS, make_recording, make_recording_with_rosbags, shots
+from fakes import FakeDetector
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from inspect_pipeline.annotations.annotator import FrameAnnotator
+from inspect_pipeline.annotations.annotator import FrameAnnotator, message_format
 from inspect_pipeline.annotations.ros2 import ROS2, encode_detections, encode_image_annotations
+from inspect_pipeline.config import ProcessOptions, start_run
+from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.append import annotated_copy, sidecar
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.recording.types import Frame
+from inspect_pipeline.store.store import Store
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from inspect_pipeline.config import SchemaName
+    from inspect_pipeline.store.records import ProcessResult
 
 SIZE = (720, 1280)
 STAMP_NS = 1_700_000_000_123_456_789
@@ -108,7 +116,7 @@ def test_image_annotations_are_what_protobuf_says(n_segments: int, n_lines: int)
         assert (drawn.type, drawn.thickness) == (other.type, other.thickness)
         assert [(p.x, p.y) for p in drawn.points] == [(p.x, p.y) for p in other.points]
         assert rgba(drawn.outline_color) == rgba(other.outline_color)
-        assert [rgba(c) for c in drawn.outline_colors] == [rgba(c) for c in other.outline_colors]
+        assert len(drawn.outline_colors) == len(other.outline_colors) == 0
         assert rgba(drawn.fill_color) == rgba(other.fill_color)
 
 
@@ -144,6 +152,46 @@ def test_a_bag_stays_one_that_can_be_played(tmp_path: Path, write: Any) -> None:
         decoded = store.deserialize_cdr(message.data, name)
         stamped = decoded.points[0] if channel.topic.endswith("annotations") else decoded
         assert ns(stamped.timestamp) == message.log_time - STAMP_LAG_NS
+
+
+@pytest.mark.parametrize(
+    ("schema", "profile", "expected"),
+    [
+        ("auto", "ros2", "ros2msg"),
+        ("auto", "", "protobuf"),
+        ("auto", "ros1", "protobuf"),
+        ("protobuf", "ros2", "protobuf"),
+        ("ros2msg", "", "ros2msg"),
+    ],
+)
+def test_the_format_of_annotations_is_that_of_the_recording(
+    schema: SchemaName, profile: str, expected: str
+) -> None:
+    assert message_format(schema, profile) == expected
+
+
+def test_rosbags_opens_an_annotated_bag(tmp_path: Path) -> None:
+    """It refuses bags with protobuf beside CDR."""
+    bag = make_recording_with_rosbags(tmp_path / "bag", shots(4))
+    result = run(bag, tmp_path)
+    assert result.warnings == ()
+    with AnyReader([result.annotated]) as reader:
+        topics = [connection.topic for connection, _, _ in reader.messages()]
+    assert sorted(set(topics)) == [CAMERA, f"{CAMERA}/lsnet/annotations", f"{CAMERA}/lsnet/detections"]
+    assert len(topics) == 12
+
+
+def test_ros2_messages_in_another_recording_are_warned_of(tmp_path: Path) -> None:
+    path = make_recording(tmp_path / "a.mcap", shots(2))
+    (warning,) = run(path, tmp_path, schema="ros2msg").warnings
+    assert "players of ROS 2 bags do not open its annotated copy either: it has profile 'test'" in warning
+    assert run(path, tmp_path, schema="ros2msg", write="sidecar", force=True).warnings == ()
+    assert run(path, tmp_path, force=True).warnings == ()
+
+
+def run(path: Path, folder: Path, **options: Any) -> ProcessResult:
+    detector, asked = FakeDetector(), ProcessOptions(**options)
+    return process(path, Store(folder / "store"), detector, asked, start_run(detector, asked))
 
 
 def test_protobuf_is_what_is_written_unasked(tmp_path: Path) -> None:

@@ -59,7 +59,11 @@ def test_the_same_widths_are_the_same_network() -> None:
 
 @pytest.mark.parametrize(
     "other",
-    [replace(TINY, head_channels=16), replace(TINY, stage_channels=(4, 8)), replace(TINY, stage_blocks=2)],
+    [
+        replace(TINY, head_channels=16),
+        replace(TINY, stem_channels=None, stage_channels=(4, 4, 8, 8)),
+        replace(TINY, stage_blocks=2),
+    ],
     ids=["wider", "stages", "depth"],
 )
 def test_only_widths_can_shrink(other: LSNetConfig) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from nets import TINY
 
 from lsnet import LSNetError
 from lsnet.evaluation.compare import data as compare_data
-from lsnet.evaluation.compare.chart import Point, chart, pareto_front
+from lsnet.evaluation.compare.chart import ChartPoint, draw_chart, pareto_front
 from lsnet.evaluation.compare.compare import CANDIDATES, Comparison, Variant, compare_all, results_of
 from lsnet.evaluation.compare.data import Crops, draw_set
 from lsnet.evaluation.compare.table import table
@@ -103,21 +104,29 @@ def test_candidates_are_told_apart_by_name_and_one_name_is_one_thing() -> None:
 
 @given(st.lists(st.tuples(st.integers(1, 9), st.integers(1, 9)), min_size=1))
 def test_nothing_beats_the_pareto_front(pairs: list[tuple[int, int]]) -> None:
-    points = [Point(str(i), ms, ods) for i, (ms, ods) in enumerate(pairs)]
+    points = [ChartPoint(str(i), ms, ods) for i, (ms, ods) in enumerate(pairs)]
     front = pareto_front(points)
     for point in points:
         beaten = [p for p in points if p.ms <= point.ms and p.ods >= point.ods and p[1:] != point[1:]]
         assert (point[1:] in [p[1:] for p in front]) == (not beaten)
 
 
-def test_a_chart_is_svg_with_every_name_where_its_figures_are() -> None:
-    points = [Point("a & b", 5.0, 0.7), Point("slow", 15.0, 0.8), Point("worse", 10.0, 0.6)]
-    root = ET.fromstring(chart(points, "ms", "ODS"))  # noqa: S314
-    space = {"s": "http://www.w3.org/2000/svg"}
-    x, y = ([float(c.get(k, 0)) for c in root.findall("s:circle", space)] for k in ("cx", "cy"))
-    assert x[0] < x[2] < x[1]
-    assert y[1] < y[0] < y[2]
-    assert x[2] - x[0] == pytest.approx(x[1] - x[2], abs=0.2)
-    assert {"a & b", "slow", "worse", "ms", "ODS"} <= {t.text for t in root.findall("s:text", space)}
-    (front,) = (line.get("points") for line in root.findall("s:polyline", space))
-    assert front == f"{x[0]},{y[0]} {x[1]},{y[1]}"
+def test_a_chart_names_every_network(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    points = [ChartPoint("a & b", 5.0, 0.7), ChartPoint("$slow_", 15.0, 0.8), ChartPoint("worse", 10.0, 0.6)]
+    draw_chart(points, tmp_path / "chart.svg", "ms", "ODS")
+    root = ET.parse(tmp_path / "chart.svg")  # noqa: S314
+    texts = {"".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")}
+    assert {"a & b", "$slow_", "worse", "ms", "ODS"} <= texts
+    draw_chart(points[:1], tmp_path / "one.png", "ms", "ODS")
+    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
+    for path in (tmp_path / "none" / "chart.svg", tmp_path / "chart.nonesuch"):
+        with pytest.raises(LSNetError, match="cannot be written") as error:
+            draw_chart(points, path, "ms", "ODS")
+        assert "\n" not in str(error.value)
+
+
+def test_a_missing_matplotlib_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(LSNetError, match=r"not installed; pip install 'lsnet-pipe\[plot\]'"):
+        draw_chart([ChartPoint("a", 5.0, 0.7)], tmp_path / "chart.svg", "ms", "ODS")

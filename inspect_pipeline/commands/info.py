@@ -71,6 +71,7 @@ def _describe(recording: Recording) -> Iterator[str]:
 def _describe_poses(recording: Recording) -> Iterator[str]:
     from inspect_pipeline.georeference.calibration import read_intrinsics
     from inspect_pipeline.georeference.poses import read_poses
+    from inspect_pipeline.georeference.unread import explain_unread_poses
 
     track = read_poses(recording)
     counts = {
@@ -80,6 +81,8 @@ def _describe_poses(recording: Recording) -> Iterator[str]:
     }
     if any(counts.values()):
         yield f"poses     {', '.join(f'{count:,} {what}' for what, count in counts.items() if count)}"
+    for topic, reason in explain_unread_poses(recording).items():
+        yield f"no pose   {topic}: {reason}"
     for camera in recording.camera_channels:
         lens = read_intrinsics(recording, camera)
         if lens:

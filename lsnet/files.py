@@ -1,4 +1,4 @@
-"""What commands write, and where to."""
+"""Writing of folders and pictures."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ from lsnet.errors import LSNetError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from lsnet.arrays import ImageArray
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder with its parents, unless it is there. Raises LSNetError when it cannot be made."""
+    """Create a folder with its parents, unless it exists. Raises LSNetError when it cannot be created."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as err:
-        raise LSNetError(f"{folder}: cannot be made a folder ({err.strerror}); name another") from err
+        raise LSNetError(f"{folder}: cannot be created as a folder ({err.strerror}); name another") from err
 
 
-def write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write uint8 (H, W, 3) RGB or (H, W, 4) RGB and alpha. Raises LSNetError when it cannot be written."""
+def write_png(path: Path, image: ImageArray) -> None:
+    """Write uint8 (H, W, 3) RGB, or (H, W, 4) RGB and alpha. Raises LSNetError when it cannot be written."""
     as_opencv = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
     if not cv2.imwrite(str(path), cv2.cvtColor(image, as_opencv)):
         raise LSNetError(f"{path}: cannot be written; name another folder")

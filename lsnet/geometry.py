@@ -1,4 +1,4 @@
-"""Pure functions on segments given as (N, 4) arrays x1 y1 x2 y2, in any unit of length."""
+"""Functions on segments given as (N, 4) arrays x1 y1 x2 y2, in any unit of length."""
 
 from __future__ import annotations
 
@@ -7,34 +7,38 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Float = NDArray[np.floating]
+    from lsnet.arrays import RealArray
 
 
-def length(endpoints: Float) -> Float:
-    """(N,) Euclidean lengths."""
+def length(endpoints: RealArray) -> RealArray:
+    """Return (N,) Euclidean lengths."""
     return np.hypot(endpoints[:, 2] - endpoints[:, 0], endpoints[:, 3] - endpoints[:, 1])
 
 
-def orientation(endpoints: Float) -> Float:
-    """(N,) angles of the segments against the x axis, radians in [0, pi)."""
+def orientation(endpoints: RealArray) -> RealArray:
+    """Return (N,) angles of the segments to the x axis, radians in [0, pi)."""
     angle = np.arctan2(endpoints[:, 3] - endpoints[:, 1], endpoints[:, 2] - endpoints[:, 0])
     return np.mod(angle, np.pi) % np.pi
 
 
-def angle_between(a: Float, b: Float) -> Float:
-    """Smallest difference of orientations, elementwise, radians in [0, pi / 2]."""
+def angle_between(a: RealArray, b: RealArray) -> RealArray:
+    """Return the smallest difference of orientations, elementwise, radians in [0, pi / 2]."""
     difference = np.abs(a - b) % np.pi
     return np.minimum(difference, np.pi - difference)
 
 
-def clip_to_boxes(endpoints: ArrayLike, boxes: ArrayLike) -> tuple[Float, Float]:
+def clip_to_boxes(endpoints: ArrayLike, boxes: ArrayLike) -> tuple[RealArray, RealArray]:
     """Clip each segment to each axis-parallel box (Liang and Barsky).
 
-    endpoints: (..., 4); boxes: (..., 4) as x_min y_min x_max y_max; the shapes broadcast.
-    Returns (t_in, t_out), the parameters along each segment where it lies in the box, 0 at the first
-    endpoint and 1 at the second; the segment misses the box where t_in >= t_out.
+    Args:
+        endpoints: (..., 4).
+        boxes: (..., 4) as x_min y_min x_max y_max; the shapes broadcast.
+
+    Returns:
+        (t_in, t_out), the parameters along each segment between which it is inside the box, 0 at the first
+        endpoint and 1 at the second. The segment misses the box where t_in >= t_out.
     """
     endpoints, boxes = np.broadcast_arrays(np.asarray(endpoints, float), np.asarray(boxes, float))
     t_in, t_out = np.zeros(endpoints.shape[:-1]), np.ones(endpoints.shape[:-1])

@@ -7,7 +7,7 @@ step of half a cell: position (row, column) is the cell whose top-left corner is
 31 x 31 at 512 x 512 with cells of 32 px. Even row and column: main grid; odd column: horizontal;
 odd row: vertical; both odd: central.
 
-A cell says its longest segment, both endpoints as fractions of the cell: (0, 0) is its top-left corner.
+A cell reports its longest segment, both endpoints as fractions of the cell: (0, 0) is its top-left corner.
 """
 
 from __future__ import annotations
@@ -25,28 +25,33 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lsnet.arrays import Floats, Floats32, RealArray
+
 NEGATIVE, POSITIVE, IGNORED = 0, 1, -1
-OFF_CENTRE_PENALTY = 0.25  # pixels of length that a pixel away from the cell's centre costs a chord
+OFF_CENTRE_PENALTY = 0.25  # a chord's length counts less by this much per pixel from the cell's centre
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
-    """What the network should say of one image.
+    """What the network should predict for one image.
 
-    labels: (R, C) int8, POSITIVE, NEGATIVE or IGNORED.
-    endpoints: (R, C, 4) float32 in cell fractions, zero where the label is not POSITIVE.
+    Attributes:
+        labels: (R, C) int8, POSITIVE, NEGATIVE or IGNORED.
+        endpoints: (R, C, 4) float32 in cell fractions, zero where the label is not POSITIVE.
     """
 
     labels: NDArray[np.int8]
-    endpoints: NDArray[np.float32]
+    endpoints: Floats32
 
 
 @dataclass(frozen=True, slots=True)
 class GridCoder:
-    """Polylines to targets and network maps to segments; `encode` and `decode` undo each other.
+    """Convert polylines to targets and network maps to segments; `encode` and `decode` are inverse.
 
-    min_chord: shortest chord, as a fraction of the cell, that makes a cell positive. Shorter ones are
-    ignored in training, since another of the four grids holds that stretch as a long chord.
+    Attributes:
+        cell_px: Side of a cell.
+        min_chord: Shortest chord, as a fraction of the cell, that makes a cell positive. Shorter ones are
+            ignored in training, since another of the four grids has a long chord of the same stretch.
     """
 
     cell_px: int = 32
@@ -54,25 +59,25 @@ class GridCoder:
 
     @property
     def stride_px(self) -> int:
-        """Distance of neighbouring positions of the interleaved map."""
+        """Distance of neighbouring positions of the interleaved map, px."""
         return self.cell_px // 2
 
     def map_size(self, image_size: tuple[int, int]) -> tuple[int, int]:
-        """(rows, columns) of the interleaved map of an image of (height, width)."""
+        """Return (rows, columns) of the interleaved map of an image of (height, width)."""
         return image_size[0] // self.stride_px - 1, image_size[1] // self.stride_px - 1
 
-    def corners(self, image_size: tuple[int, int]) -> NDArray[np.float32]:
-        """(R, C, 2) x, y of the top-left corner of each cell, pixels."""
+    def corners(self, image_size: tuple[int, int]) -> Floats32:
+        """Return (R, C, 2) x, y of the top-left corner of each cell, pixels."""
         rows, columns = self.map_size(image_size)
         y, x = np.mgrid[:rows, :columns].astype(np.float32) * self.stride_px
         return np.stack([x, y], axis=-1)
 
-    def encode(self, polylines: Sequence[NDArray[np.floating]], image_size: tuple[int, int]) -> Targets:
-        """Targets of one image of (height, width) with lines given as (K, 2) points in pixels.
+    def encode(self, polylines: Sequence[RealArray], image_size: tuple[int, int]) -> Targets:
+        """Return the targets of an image of (height, width) with polylines (K, 2) in pixels.
 
-        A line enters a cell as its chord, from where it first enters to where it last leaves. Of
-        several lines in a cell the longest chord counts; of chords about as long, as parallel lines make
-        them, the one nearer to the middle of the cell, so that what is to be learned is no toss-up.
+        The chord of a line in a cell goes from where the line first enters the cell to where it last leaves
+        it. The longest chord in a cell counts. Among chords of similar length, as of parallel lines, the one
+        nearer to the middle of the cell does, so that the target is not arbitrary.
         """
         corners = self.corners(image_size)
         best, longest = np.full(corners.shape[:2], -np.inf), np.zeros(corners.shape[:2])
@@ -82,7 +87,9 @@ class GridCoder:
             chords = _chords(np.asarray(points, float), boxes)
             lengths = np.hypot(chords[..., 2] - chords[..., 0], chords[..., 3] - chords[..., 1])
             weights = lengths - OFF_CENTRE_PENALTY * _off_centre(chords, corners + self.cell_px / 2)
-            weights += (lengths >= self.min_chord * self.cell_px) * 2 * self.cell_px  # before any short one
+            weights += (
+                (lengths >= self.min_chord * self.cell_px) * 2 * self.cell_px
+            )  # long ones before short ones
             is_better = (lengths > 0) & (weights > best)
             best = np.where(is_better, weights, best)
             longest = np.maximum(longest, lengths)
@@ -95,15 +102,15 @@ class GridCoder:
 
     def decode(
         self,
-        scores: NDArray[np.floating],
-        endpoints: NDArray[np.floating],
+        scores: RealArray,
+        endpoints: RealArray,
         image_size: tuple[int, int],
         min_score: float,
     ) -> Segments:
-        """Segments in pixels from maps: scores (R, C), endpoints (R, C, 4) in cell fractions.
+        """Return the segments, in pixels, of maps: scores (R, C) and endpoints (R, C, 4) in cell fractions.
 
-        Endpoints that leave their cell are drawn back to its border. A line along the edge between two
-        cells of one grid is said by both; nothing is merged here.
+        Endpoints outside their cell are moved to its border. A line along the edge between two cells of one
+        grid is reported by both; nothing is merged here.
         """
         keep = scores >= min_score
         inside = np.clip(endpoints[keep], 0.0, 1.0) * self.cell_px
@@ -111,8 +118,8 @@ class GridCoder:
         return Segments(absolute.astype(np.float32), scores[keep].astype(np.float32), image_size)
 
 
-def _chords(points: NDArray[np.floating], boxes: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(R, C, 4) chord of one polyline (K, 2) in each of the boxes (R, C, 4), zeros where it misses."""
+def _chords(points: RealArray, boxes: RealArray) -> Floats:
+    """(R, C, 4) chords of one polyline (K, 2) in the boxes (R, C, 4), zeros where it misses the box."""
     pieces = np.concatenate([points[:-1], points[1:]], axis=1)
     t_in, t_out = clip_to_boxes(pieces, boxes[:, :, None])  # (R, C, K - 1)
     is_hit = t_out > t_in
@@ -124,11 +131,11 @@ def _chords(points: NDArray[np.floating], boxes: NDArray[np.floating]) -> NDArra
     return np.where(is_hit.any(axis=-1, keepdims=True), chords, 0.0)
 
 
-def _off_centre(chords: NDArray[np.float64], centres: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(R, C) distance of each cell's centre from the middle of its chord."""
+def _off_centre(chords: Floats, centres: RealArray) -> Floats:
+    """(R, C) distances of the centres of cells from the middles of their chords."""
     middles = (chords[..., :2] + chords[..., 2:]) / 2 - centres
     return np.hypot(middles[..., 0], middles[..., 1])
 
 
-def _along(pieces: NDArray[np.floating], t: NDArray[np.floating]) -> NDArray[np.floating]:
+def _along(pieces: RealArray, t: RealArray) -> RealArray:
     return pieces[..., :2] * (1 - t) + pieces[..., 2:] * t

@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
 
 def focal_loss(logits: Tensor, is_positive: Tensor, alpha: float, gamma: float) -> Tensor:
-    """-alpha_t (1 - p_t)^gamma log p_t, elementwise.
+    """Return -alpha_t (1 - p_t)^gamma log p_t, elementwise (Lin et al.).
 
-    logits: (N, 2), without and with a segment; is_positive: (N,) bool. alpha weighs the positive cells,
-    1 - alpha the others. gamma 0 and alpha 0.5 make it half the cross-entropy.
+    Args:
+        logits: (N, 2), without and with a segment.
+        is_positive: (N,) bool.
+        alpha: Weight of positive cells; that of the others is 1 - alpha.
+        gamma: Focusing parameter; 0, with alpha 0.5, gives half the cross-entropy.
     """
     log_p = F.log_softmax(logits, dim=1)
     log_p_t = torch.where(is_positive, log_p[:, 1], log_p[:, 0])
@@ -32,15 +35,15 @@ def focal_loss(logits: Tensor, is_positive: Tensor, alpha: float, gamma: float) 
 
 
 def endpoint_error(predicted: Tensor, target: Tensor) -> Tensor:
-    """d(e, t): (N,) least sum of absolute differences of (N, 4) endpoints over their two orders."""
+    """Return d(e, t): (N,) sums of absolute differences of (N, 4) endpoints, in the better of both orders."""
     swapped = predicted[:, [2, 3, 0, 1]]
     return torch.minimum((target - predicted).abs().sum(1), (target - swapped).abs().sum(1))
 
 
 def ordered_error(predicted: Tensor, target: Tensor) -> Tensor:
-    """(N,) sum of absolute differences of (N, 4) endpoints, the targets' from left to right.
+    """Return (N,) sums of absolute differences of (N, 4) endpoints, with targets ordered from left to right.
 
-    What the order-free `endpoint_error` is compared with.
+    The alternative to `endpoint_error` in the ablation.
     """
     swapped = target[:, [2, 3, 0, 1]]
     is_ordered = (target[:, 0] <= target[:, 2])[:, None]
@@ -48,23 +51,23 @@ def ordered_error(predicted: Tensor, target: Tensor) -> Tensor:
 
 
 def smooth_l1_loss(error: Tensor) -> Tensor:
-    """Quadratic below 1, linear above, elementwise on errors d >= 0 (Girshick)."""
+    """Return d^2 / 2 below 1, linear above, elementwise on errors d >= 0 (Girshick)."""
     return torch.where(error < 1, error**2 / 2, error - 0.5)
 
 
 def l2_loss(error: Tensor) -> Tensor:
-    """Half the square, elementwise on errors d >= 0."""
+    """Return d^2 / 2, elementwise on errors d >= 0."""
     return error**2 / 2
 
 
 def wing_loss(error: Tensor, w: float, epsilon: float) -> Tensor:
-    """Logarithmic below w, linear above, elementwise on errors d >= 0 (Feng et al.)."""
+    """Return the Wing loss, logarithmic below w, linear above, elementwise on errors d >= 0 (Feng et al.)."""
     offset = w - w * math.log(1 + w / epsilon)
     return torch.where(error < w, w * torch.log1p(error / epsilon), error - offset)
 
 
 class LossParts(NamedTuple):
-    """The parts of the loss of a batch, each a scalar per positive cell."""
+    """Total loss of a batch and its parts, scalars, divided by the number of positive cells."""
 
     total: Tensor
     classification: Tensor
@@ -73,9 +76,9 @@ class LossParts(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MultiTaskLoss:
-    """L = L_cls + weight * [y = 1] L_reg, both summed over cells and divided by the positive ones.
+    """L = L_cls + weight * [y = 1] L_reg, both summed over cells and divided by the number of positive ones.
 
-    The paper leaves alpha, gamma, w, epsilon and the weight (lambda) open; these train well with
+    The paper leaves alpha, gamma, w, epsilon and the weight (lambda) open; the defaults train well with
     endpoints in cell fractions.
     """
 
@@ -86,10 +89,10 @@ class MultiTaskLoss:
     weight: float = 1.0
     error: Callable[[Tensor, Tensor], Tensor] = endpoint_error
     regression: Literal["wing", "smooth_l1", "l2"] = "wing"
-    main_grid_only: bool = False  # the cells of the other three grids are not trained
+    main_grid_only: bool = False  # leave the other three grids untrained
 
     def __call__(self, output: RawOutput, labels: Tensor, endpoints: Tensor) -> LossParts:
-        """LossParts of a batch; labels (N, R, C) and endpoints (N, R, C, 4) as in `grid.Targets`."""
+        """Return the losses of a batch; labels (N, R, C) and endpoints (N, R, C, 4) as in `grid.Targets`."""
         if self.main_grid_only:
             labels = of_main_grid(labels, IGNORED)
         logits = output.logits.float().permute(0, 2, 3, 1)[labels != IGNORED]
@@ -108,7 +111,7 @@ class MultiTaskLoss:
 
 
 def of_main_grid(values: Tensor, other: float) -> Tensor:
-    """(..., R, C) values of the interleaved map with those of the three shifted grids replaced."""
+    """Return values (..., R, C) of the interleaved map with those of the three shifted grids replaced."""
     kept = torch.full_like(values, other)
     kept[..., ::2, ::2] = values[..., ::2, ::2]
     return kept

@@ -1,7 +1,7 @@
 """LS-Net (Nguyen, Jenssen and Roverso, Section III-B, Table I), bottom-up.
 
-An image goes through a feature extractor to maps of 1/16 its size; the classifier and the regressor
-turn each 2 x 2 neighbourhood of them into one cell of the four interleaved grids (`lsnet.grid`).
+A feature extractor reduces an image to maps of 1/16 its size; the classifier and the regressor turn each
+2 x 2 neighbourhood of them into one cell of the four interleaved grids (`lsnet.grid`).
 """
 
 from __future__ import annotations
@@ -17,16 +17,18 @@ HALVINGS = 4  # from pixels to positions of the interleaved grids, 16 px apart
 
 @dataclass(frozen=True, slots=True)
 class LSNetConfig:
-    """The numbers of one network."""
+    """Parameters of one network. Raises ValueError when they are out of range."""
 
-    stage_channels: tuple[int, ...]  # channels of each stage; every stage halves the image once
+    stage_channels: tuple[int, ...]  # channels per stage; each stage halves the image once
     head_channels: int  # channels of the transformation layers of both heads
     norm: Literal["group", "batch"]  # group as in the paper; batch folds into the convolutions
-    stem_channels: int | None = None  # a stride-2 convolution before the stages, None as in the paper
+    stem_channels: int | None = (
+        None  # of a stride-2 convolution before the stages; None, as in the paper, for no stem
+    )
     downsample: Literal["first", "last"] = "last"  # which convolution of a stage has stride 2
-    context_blocks: int = 0  # residual blocks of dilation 2, 4, 8 behind the last stage
-    residual: bool = False  # add a stage's input of its last two convolutions to their output
-    stage_blocks: int = 1  # such pairs of convolutions a stage, with `residual`
+    context_blocks: int = 0  # residual blocks of dilation 2, 4, 8 ... after the last stage
+    residual: bool = False  # skip connections around the last two convolutions of a stage
+    stage_blocks: int = 1  # such pairs of convolutions per stage, with `residual`
     pixel_mean: float = 0.5  # of images in [0, 1]
     pixel_std: float = 0.25
 
@@ -55,16 +57,16 @@ PRESETS = {
     ),
 }
 
-GROUP_SIZE = 16  # channels a group of GroupNorm; the paper does not say
+GROUP_SIZE = 16  # channels per group of GroupNorm; the paper leaves it open
 
 
 class ConvNormAct(nn.Sequential):
-    """Convolution, normalisation, ReLU; "we adopt Group Normalization before activations"."""
+    """Convolution, normalisation, ReLU ("we adopt Group Normalization before activations")."""
 
     def __init__(
         self, c_in: int, c_out: int, norm: str, *, kernel: int = 3, stride: int = 1, dilation: int = 1
     ) -> None:
-        padding = dilation if kernel == 3 else 0  # heads are not padded
+        padding = dilation if kernel == 3 else 0  # no padding in the heads
         super().__init__(
             nn.Conv2d(c_in, c_out, kernel, stride, padding, dilation, bias=False),
             nn.GroupNorm(c_out // GROUP_SIZE, c_out) if norm == "group" else nn.BatchNorm2d(c_out),
@@ -73,7 +75,7 @@ class ConvNormAct(nn.Sequential):
 
 
 class Residual(nn.Module):
-    """Two convolutions with their input added: x + f(x)."""
+    """Two convolutions with a skip connection: x + f(x)."""
 
     def __init__(self, channels: int, norm: str, dilation: int = 1) -> None:
         super().__init__()
@@ -83,13 +85,13 @@ class Residual(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) in and out."""
+        """Map (N, C, H, W) to the same shape."""
         out: Tensor = x + self.body(x)
         return out
 
 
 class FeatureExtractor(nn.Sequential):
-    """VGG-16 cut before its last pooling, pooling replaced by strides: (N, 3, H, W) to (N, C, H/16, W/16)."""
+    """VGG-16 up to its last pooling, with strides for pooling: (N, 3, H, W) to (N, C, H/16, W/16)."""
 
     def __init__(self, config: LSNetConfig) -> None:
         layers: list[nn.Module] = []
@@ -118,7 +120,7 @@ class FeatureExtractor(nn.Sequential):
 
 
 class Head(nn.Sequential):
-    """A 2 x 2 transformation layer to the four grids, then 1 x 1: (N, C, R + 1, S + 1) to (N, K, R, S)."""
+    """A 2 x 2 convolution to the four grids, then 1 x 1: (N, C, R + 1, S + 1) to (N, K, R, S)."""
 
     def __init__(self, c_in: int, config: LSNetConfig, outputs: int) -> None:
         super().__init__(
@@ -128,37 +130,37 @@ class Head(nn.Sequential):
 
 
 class Classifier(Head):
-    """Two logits a cell: without and with a line segment."""
+    """Two logits per cell: without and with a line segment."""
 
     def __init__(self, c_in: int, config: LSNetConfig) -> None:
         super().__init__(c_in, config, outputs=2)
         final = self[-1]
         assert isinstance(final, nn.Conv2d) and final.bias is not None  # noqa: S101, PT018
-        with torch.no_grad():  # start near the share of cells with lines, as RetinaNet does
+        with torch.no_grad():  # start near the share of cells with lines, as in RetinaNet
             final.bias.copy_(torch.tensor([1.0, -1.0]))
 
 
 class Regressor(Head):
-    """Endpoints of the longest segment of a cell: x1 y1 x2 y2 in cell fractions."""
+    """Endpoints of the longest segment per cell: x1 y1 x2 y2 in cell fractions."""
 
     def __init__(self, c_in: int, config: LSNetConfig) -> None:
         super().__init__(c_in, config, outputs=4)
 
 
 class RawOutput(NamedTuple):
-    """What the network says of a batch, before any threshold."""
+    """Output of the network for a batch, before any threshold."""
 
     logits: Tensor  # (N, 2, R, C)
     endpoints: Tensor  # (N, 4, R, C) in cell fractions
 
     @property
     def scores(self) -> Tensor:
-        """(N, R, C) probability that the cell holds a segment."""
+        """(N, R, C) probabilities that the cells hold a segment."""
         return self.logits.softmax(dim=1)[:, 1]
 
 
 class LSNet(nn.Module):
-    """The whole network: images (N, 3, H, W) in [0, 1], H and W multiples of 16, to `RawOutput`."""
+    """The network: images (N, 3, H, W) in [0, 1], H and W multiples of 16, to `RawOutput`."""
 
     def __init__(self, config: LSNetConfig) -> None:
         super().__init__()
@@ -175,7 +177,7 @@ class LSNet(nn.Module):
         nn.init.constant_(self.regressor[-1].bias, 0.5)  # type: ignore[arg-type]
 
     def forward(self, images: Tensor) -> RawOutput:
-        """Raw maps of a batch; a batch gives what its images give one by one."""
+        """Run a batch; the results equal those of its images one by one."""
         x = (images - self.config.pixel_mean) / self.config.pixel_std
         features = self.extractor(x)
         return RawOutput(self.classifier(features), self.regressor(features))

@@ -1,7 +1,7 @@
-"""Large frames in overlapping tiles whose raw maps are put together before anything is decoded.
+"""Large images in overlapping tiles whose raw maps are joined before decoding.
 
-Each position of the whole map is taken from one tile, so there are no seams to mend and no doubles to remove.
-Nothing is taken where a tile's border is in sight of the `fast` network, so the maps equal the whole frame's.
+Each position of the whole map is taken from one tile, so there are no seams and no duplicates. In that tile
+the receptive field of the `fast` network does not reach the border, so the maps equal those of the image.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
     from lsnet.arrays import Maps
 
-TILE_PX = 1024  # longest side run in one piece
-MARGIN_PX = 144  # left beside what is taken from a tile; 128 are in sight of a cell, and cells start every 16
+TILE_PX = 1024  # longest side that is run in one piece
+MARGIN_PX = 144  # not taken at a tile's border: 128 px of receptive field about a cell, and one step
 STRIDE_PX = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A window of the frame, pixels, and the map rows and columns taken from it (whole-map positions)."""
+    """A window of the image, pixels, and the rows and columns of the whole map that are taken from it."""
 
     window: tuple[slice, slice]
     taken: tuple[slice, slice]
 
     def inner(self) -> tuple[slice, slice]:
-        """`taken` in positions of the tile's own map."""
+        """Return `taken` in positions of the tile's own map."""
         return tuple(  # type: ignore[return-value]
             slice(t.start - w.start // STRIDE_PX, t.stop - w.start // STRIDE_PX)
             for t, w in zip(self.taken, self.window, strict=True)
@@ -37,7 +37,7 @@ class Tile:
 
 
 def tiles_of(height: int, width: int) -> list[Tile]:
-    """Tiles of a frame whose sides are multiples of 16; one tile when it is small."""
+    """Return the tiles of an image whose sides are multiples of 16; one tile if it is small."""
     return [
         Tile((window_y, window_x), (taken_y, taken_x))
         for window_y, taken_y in _cuts(height)
@@ -46,7 +46,7 @@ def tiles_of(height: int, width: int) -> list[Tile]:
 
 
 def _cuts(side: int) -> Iterator[tuple[slice, slice]]:
-    """Windows along one side with the map positions taken from each: all positions, each once."""
+    """Windows along one side with the map positions taken from each; each position once."""
     positions = side // STRIDE_PX - 1
     if side <= TILE_PX:
         yield slice(0, side), slice(0, positions)
@@ -61,7 +61,7 @@ def _cuts(side: int) -> Iterator[tuple[slice, slice]]:
 
 
 def join(height: int, width: int, tiles: Sequence[Tile], maps: Sequence[Maps]) -> Maps:
-    """The maps of a whole frame from those of its tiles."""
+    """Return the maps of a whole image from those of its tiles."""
     if len(tiles) == 1:
         return maps[0]
     scores = np.empty((height // STRIDE_PX - 1, width // STRIDE_PX - 1), np.float32)

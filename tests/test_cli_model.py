@@ -111,9 +111,9 @@ def test_eval_of_a_rival(tmp_path: Path) -> None:
 
 
 def test_eval_of_nothing_is_one_line() -> None:
-    assert "give folders of images, or --synthetic" in str(run("eval", *TINY_RUN).exception)
+    assert "give folders of images, or a number of synthetic" in str(run("eval", *TINY_RUN).exception)
     result = run("eval", "plain", "--background", "plain", *TINY_RUN)
-    assert "say how many images, with --synthetic" in str(result.exception)
+    assert "backgrounds are for synthetic images only" in str(result.exception)
 
 
 def test_eval_of_no_images_is_one_line() -> None:
@@ -136,7 +136,7 @@ def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ]
     assert run("train", *words, *steps).stdout == result.stdout  # nothing left to do
     other = run("train", *words, *steps, "--learning-rate", 0.5)
-    assert "give another --run folder" in str(other.exception)
+    assert "give another run folder" in str(other.exception)
     exported = run("export", "--run", "run", "-o", "mine.safetensors", "--name", "mine", "--min-score", 0.3)
     loaded = load_weights("mine.safetensors")
     assert exported.stdout == f"mine.safetensors: mine, sha256 {loaded.sha256}\n"
@@ -148,7 +148,7 @@ def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(compare.CANDIDATES, "networks", (compare.Variant("small", TINY),))
+    monkeypatch.setitem(compare.VARIANTS, "networks", (compare.Variant("small", TINY),))
     monkeypatch.setattr(compare, "cpu_ms_of", lambda _network: {"torch": 2.0, "openvino f32": 1.0})
     monkeypatch.setattr(compare, "VALIDATION_IMAGES", 1)
     words = (
@@ -195,7 +195,7 @@ def _with_few_validation_images() -> tuple[object, ...]:
         (("--preset", "huge"), "no preset 'huge'; choose one of"),
         (("--crop", 100), "multiple of 16"),
         (("--background", "none:4"), "none: not a folder"),
-        (("--data", "none"), "--data needs --validation"),
+        (("--data", "none"), "labelled images need other ones for validation"),
         (("--data", "none", "--validation", "none"), "none: not a folder"),
         (("--start", "none.pt"), "none.pt: missing or damaged"),
     ],

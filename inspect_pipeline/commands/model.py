@@ -216,11 +216,11 @@ def compare(
     Examples:
       lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
     """
-    from lsnet.evaluation.compare.compare import CANDIDATES, Comparison, compare_all
+    from lsnet.evaluation.compare.compare import VARIANTS, Comparison, compare_all
     from lsnet.evaluation.compare.table import table, write_chart
 
     comparison = Comparison(run, tuple(background or ()), tuple(folders), images, steps)
-    candidates = CANDIDATES[what.value]
+    candidates = VARIANTS[what.value]
     with progress_bar("compare", len(candidates) * steps) as advance:
         rows = compare_all(comparison, candidates, workers=workers, report=advance)
     if chart:

@@ -1,1 +1,1 @@
-"""Evaluation: data sets, metrics, reports."""
+"""Evaluation of detectors: data sets, metrics, reports."""

@@ -1,4 +1,4 @@
-"""Evaluation on images whose cables are known as lines: structural AP, and what is found of each cable."""
+"""Evaluation on images whose cables are known as lines: structural AP, and the coverage of each cable."""
 
 from __future__ import annotations
 
@@ -8,35 +8,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lsnet.evaluation.metrics import distance_to, structural_ap
-from lsnet.evaluation.pixels import used
+from lsnet.evaluation.pixels import segments_of
 from lsnet.evaluation.rasterize import confidence_map
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import Floats, Mask, RealArray
     from lsnet.evaluation.pixels import LineDetector, Use
     from lsnet.synth.dataset import SampleSource
 
-    Float = NDArray[np.float64]
 
 SAP_THRESHOLDS = (5.0, 10.0, 15.0)
 TOLERANCE_PX = 3.0
-FOUND_SHARE = 0.8  # of a cable's length that must be covered for it not to be missed
-LEAST_GAP_PX = 8.0
-LEAST_CABLE_PX = 16.0  # a shorter piece of a cable, in the corner of an image, is not counted
+FOUND_SHARE = 0.8  # of its length; a cable covered less counts as missed
+MIN_GAP_PX = 8.0
+MIN_CABLE_PX = 16.0  # shorter pieces, in corners of images, are not counted
 
 
 @dataclass(frozen=True, slots=True)
 class CableReport:
-    """What was found of known cables at one least score.
+    """Scores on images with known cables at one minimum score.
 
-    sap5 to sap15: structural AP of the ends of lines, over all scores and whatever is used; covered_share: of
-    the cables' length; missed_share: of cables, less than 80 % of whose length is covered; gaps_per_cable:
-    uncovered stretches of 8 px or more between covered ones; false_px: drawn length beside any cable, mean
-    per image; recalled_images and false_images: shares of the images with and without cables in which
-    something is reported, None where there are none.
+    Attributes:
+        sap5, sap10, sap15: Structural AP of the ends of lines, over all scores, also when segments are used.
+        covered_share: Share of the cables' length with a detection within 3 px.
+        missed_share: Share of the cables that are covered over less than 80 % of their length.
+        gaps_per_cable: Uncovered stretches of 8 px or more between covered ones.
+        false_px: Detected length farther than 3 px from any cable, mean per image.
+        recalled_images: Share of the images with cables that have a report, None without such images.
+        false_images: Share of the images without cables that have a report, None without such images.
     """
 
     images: int
@@ -55,25 +56,25 @@ class CableReport:
 
     def __str__(self) -> str:
         def share(value: float | None) -> str:
-            return "no such" if value is None else f"{value:.1%}"
+            return "no" if value is None else f"{value:.1%}"
 
         return (
-            f"{self.images} drawn images with {self.cables} cables, {self.use}: "
+            f"{self.images} synthetic images with {self.cables} cables, {self.use}: "
             f"sAP5/10/15 {self.sap5:.3f} {self.sap10:.3f} {self.sap15:.3f}; at score {self.min_score:g} "
             f"{self.covered_share:.1%} of the length covered, {self.missed_share:.1%} of cables missed, "
-            f"{self.gaps_per_cable:.2f} gaps a cable, {self.false_px:.0f} px beside cables an image; "
+            f"{self.gaps_per_cable:.2f} gaps per cable, {self.false_px:.0f} false px per image; "
             f"reported in {share(self.recalled_images)} of images with cables, "
             f"{share(self.false_images)} of images without"
         )
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
-class CableFound:
-    """Of one cable: its length in the image, how much of it is covered, and the gaps within."""
+class CableCoverage:
+    """Length of one cable in the image, the covered part of it, and the number of gaps."""
 
     length_px: float
     covered_px: float
@@ -81,7 +82,7 @@ class CableFound:
 
 
 def evaluate_cables(
-    finder: LineDetector,
+    detector: LineDetector,
     samples: SampleSource,
     count: int,
     *,
@@ -89,19 +90,19 @@ def evaluate_cables(
     use: Use = "segments",
     on_image: Callable[[], None] = lambda: None,
 ) -> CableReport:
-    """Report of the first `count` samples. The finder must tell all from score 0.05 up."""
+    """Evaluate on the first `count` samples. The detector must report everything from a score of 0.05."""
     size = (samples.size, samples.size)
-    found: list[CableFound] = []
+    found: list[CableCoverage] = []
     detected, truth, false_px, is_reported, has_cables = [], [], [], [], []
     for i in range(count):
         sample = samples[i]
         whole = [_inside(line, size) for line in sample.lines]
-        cables = [cable for cable in whole if len(cable) > LEAST_CABLE_PX]
-        detections = finder.detect([sample.image])[0]
-        said = confidence_map(used(detections, use)) >= max(min_score, 1e-6)
-        found += cables_found(said, cables)
-        false_px.append(int((said & (distance_to(_drawn(cables, size)) > TOLERANCE_PX)).sum()))
-        is_reported.append(bool(said.any()))
+        cables = [cable for cable in whole if len(cable) > MIN_CABLE_PX]
+        detections = detector.detect([sample.image])[0]
+        is_detected = confidence_map(segments_of(detections, use)) >= max(min_score, 1e-6)
+        found += cable_coverage(is_detected, cables)
+        false_px.append(int((is_detected & (distance_to(_drawn(cables, size)) > TOLERANCE_PX)).sum()))
+        is_reported.append(bool(is_detected.any()))
         has_cables.append(bool(cables))
         detected.append((_chords(detections.lines.points), detections.lines.scores))
         truth.append(_chords(cables))
@@ -125,25 +126,25 @@ def evaluate_cables(
     )
 
 
-def cables_found(said: NDArray[np.bool_], cables: Sequence[Float]) -> list[CableFound]:
-    """What of each cable, given as points 1 px apart (K, 2), lies within 3 px of what is said (H, W)."""
-    near = distance_to(said) <= TOLERANCE_PX
+def cable_coverage(is_detected: Mask, cables: Sequence[Floats]) -> list[CableCoverage]:
+    """Measure how much of each cable (K, 2), points 1 px apart, is within 3 px of a detected pixel (H, W)."""
+    near = distance_to(is_detected) <= TOLERANCE_PX
     found = []
     for cable in cables:
         column, row = np.floor(cable).astype(int).T
         is_covered = near[np.clip(row, 0, near.shape[0] - 1), np.clip(column, 0, near.shape[1] - 1)]
-        found.append(CableFound(float(len(cable)), float(is_covered.sum()), _gaps(is_covered)))
+        found.append(CableCoverage(float(len(cable)), float(is_covered.sum()), _gaps(is_covered)))
     return found
 
 
-def _gaps(is_covered: NDArray[np.bool_]) -> int:
-    """Uncovered runs between covered places, points 1 px apart."""
+def _gaps(is_covered: Mask) -> int:
+    """Count uncovered runs between covered points, 1 px apart."""
     at = np.flatnonzero(is_covered)
-    return int((np.diff(at) - 1 >= LEAST_GAP_PX).sum())
+    return int((np.diff(at) - 1 >= MIN_GAP_PX).sum())
 
 
-def _inside(line: Float, size: tuple[int, int]) -> Float:
-    """(K, 2) points 1 px apart along what of a polyline lies in the image."""
+def _inside(line: Floats, size: tuple[int, int]) -> Floats:
+    """(K, 2) points 1 px apart along the part of a polyline inside the image."""
     steps = np.hypot(*np.diff(line, axis=0).T)
     along = np.concatenate([[0], np.cumsum(steps)])
     at = np.arange(0.5, along[-1])
@@ -152,7 +153,7 @@ def _inside(line: Float, size: tuple[int, int]) -> Float:
     return points[is_inside]
 
 
-def _drawn(cables: Sequence[Float], size: tuple[int, int]) -> NDArray[np.bool_]:
+def _drawn(cables: Sequence[Floats], size: tuple[int, int]) -> Mask:
     mask = np.zeros(size, bool)
     for cable in cables:
         column, row = np.floor(cable).astype(int).T
@@ -160,8 +161,8 @@ def _drawn(cables: Sequence[Float], size: tuple[int, int]) -> NDArray[np.bool_]:
     return mask
 
 
-def _chords(lines: Sequence[NDArray[np.floating]]) -> Float:
-    """(N, 4) first and last points of lines."""
+def _chords(lines: Sequence[RealArray]) -> Floats:
+    """(N, 4) first and last points of the lines."""
     return np.array([[*points[0], *points[-1]] for points in lines], float).reshape(-1, 4)
 
 

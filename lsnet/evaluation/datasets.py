@@ -1,8 +1,8 @@
-"""Evaluation sets on disk, told apart by what lies in them.
+"""Evaluation sets on disk, recognised by their files.
 
 ID.jpg + ID.boundary.png    contours of each cable, one pixel wide (the PLDU and PLDM sets)
 images/ + masks/            a mask of the cables for each image
-anything else               images without lines, or with some line: only whether one is reported counts
+anything else               images all with or all without lines: the share with a report is counted
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from lsnet.images import IMAGE_SUFFIXES, load_rgb
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import ImageArray, Ints, Ints32, Mask
 
     Kind = Literal["contours", "masks", "plain"]
 
-MAX_CABLE_RADIUS_PX = 14  # a wider region between two contours is ground, not cable
+MAX_CABLE_RADIUS_PX = 14  # a wider region between two contours is ground
 MIN_REGION_PX = 12
 
 
 def images_of(folder: Path) -> tuple[Kind, list[Path]]:
-    """What kind of set a folder holds, and its images by name. Raises LSNetError for an empty one."""
+    """Return the kind of set in a folder, and its images by name. Raises LSNetError for an empty one."""
     kind: Kind = "plain"
     if (folder / "masks").is_dir():
         kind, where = "masks", folder / "images"
@@ -45,9 +45,10 @@ def images_of(folder: Path) -> tuple[Kind, list[Path]]:
 
 
 def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTruth:
-    """The truth of one image, of (height, width), of a set with pixel truth.
+    """Load the truth of an image of (height, width) from a set with pixel truth.
 
-    Raises LSNetError when its file is missing or of another size.
+    Raises:
+        LSNetError: The file of the truth is missing or has another size.
     """
     if kind == "contours":
         path = image.with_name(f"{image.stem}.boundary.png")
@@ -58,11 +59,11 @@ def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTru
     except LSNetError as err:
         raise LSNetError(f"{path}: missing or not an image; every image of the set needs its truth") from err
     if drawn.shape != image_size:
-        raise LSNetError(f"{path}: not of the size of its image; give a truth as large as {image.name}")
+        raise LSNetError(f"{path}: not the size of its image; give a truth as large as {image.name}")
     return _from_contours(drawn) if kind == "contours" else _from_mask(drawn)
 
 
-def _skeleton(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _skeleton(mask: Mask) -> Mask:
     try:
         from skimage.morphology import skeletonize  # noqa: PLC0415 -- an extra
     except ImportError as err:
@@ -70,13 +71,13 @@ def _skeleton(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(skeletonize(mask), np.bool_)  # type: ignore[no-untyped-call]
 
 
-def _from_mask(mask: NDArray[np.bool_]) -> PixelTruth:
+def _from_mask(mask: Mask) -> PixelTruth:
     half = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     return PixelTruth(mask, _skeleton(mask), np.asarray(half, np.float32))
 
 
-def _from_contours(contours: NDArray[np.bool_]) -> PixelTruth:
-    """Cables between their contours; the skeleton's side twigs, where it is thin for its place, are cut."""
+def _from_contours(contours: Mask) -> PixelTruth:
+    """Fill the cables between their contours; prune the skeleton where the cable is thin for its place."""
     mask = cable_mask(contours)
     centreline = _skeleton(np.pad(mask, 8, mode="edge"))[8:-8, 8:-8]
     half = cv2.distanceTransform(np.pad(mask, 1, mode="edge").astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
@@ -84,11 +85,11 @@ def _from_contours(contours: NDArray[np.bool_]) -> PixelTruth:
     return PixelTruth(mask, centreline & (half >= 0.6 * widest_near), np.asarray(half, np.float32))
 
 
-def cable_mask(contours: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W) filled cables from their contours.
+def cable_mask(contours: Mask) -> Mask:
+    """Return the (H, W) mask of cables from their contours.
 
-    The contours cut the image into regions. Walking outwards from the widest, which is ground, neighbours
-    across a contour alternate: ground, cable, ground. Contours that bound no cable region are closed up.
+    The contours divide the image into regions. Starting from the widest region, which is ground, neighbours
+    across a contour alternate: ground, cable, ground. Contours that bound no cable region are closed.
     """
     edges = contours.astype(np.uint8)
     count, labels = cv2.connectedComponents(1 - edges, connectivity=4)
@@ -106,15 +107,13 @@ def cable_mask(contours: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(mask | (cv2.morphologyEx(rest, cv2.MORPH_CLOSE, round_brush) > 0))
 
 
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask with all within two pixels of it."""
+def _grown(mask: Mask) -> Mask:
+    """Dilate a mask by two pixels."""
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0)
 
 
-def _two_colour(
-    edges: NDArray[np.uint8], regions: NDArray[np.int32], sizes: NDArray[np.int64], kept: list[int]
-) -> dict[int, bool]:
-    """Which of the kept regions are cable."""
+def _two_colour(edges: ImageArray, regions: Ints32, sizes: Ints, kept: list[int]) -> dict[int, bool]:
+    """Decide which of the kept regions are cable."""
     depth = cv2.distanceTransform(1 - edges, cv2.DIST_L2, 5)
     radius = {k: float(depth[regions == k].max()) for k in kept}
     neighbours = _neighbours(regions, kept)
@@ -133,8 +132,8 @@ def _two_colour(
     return is_cable
 
 
-def _neighbours(regions: NDArray[np.int32], kept: list[int]) -> dict[int, set[int]]:
-    """Regions that face each other across a contour along more than 8 pixels."""
+def _neighbours(regions: Ints32, kept: list[int]) -> dict[int, set[int]]:
+    """Pairs of regions that touch the same contour along more than 8 pixels."""
     found: dict[int, set[int]] = {k: set() for k in kept}
     for k in kept:
         for other, shared in zip(*np.unique(regions[_grown(regions == k)], return_counts=True), strict=True):

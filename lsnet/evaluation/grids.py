@@ -1,4 +1,4 @@
-"""Detection with some of the four grids left out, as in the paper's ablation (Section IV)."""
+"""Detection with some of the four grids only, as in the paper's ablation (Section IV)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from lsnet.errors import LSNetError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from lsnet.arrays import Maps
+    from lsnet.arrays import Floats32, ImageArray, Maps
     from lsnet.runtime import Backend
 
-GRIDS = {"M": (0, 0), "H": (0, 1), "V": (1, 0), "C": (1, 1)}  # first row and column of every second one
+GRIDS = {"M": (0, 0), "H": (0, 1), "V": (1, 0), "C": (1, 1)}  # first row and column in the interleaved map
 
 
 class OnlyGrids:
-    """A backend that says nothing in the cells of the grids left out.
+    """A backend that reports nothing in the cells of the other grids.
 
-    grids: letters of main, horizontal, vertical and central. Raises LSNetError for others.
+    Args:
+        backend: Runs the network.
+        grids: Letters of the grids to use: main, horizontal, vertical, central.
+
+    Raises:
+        LSNetError: Another letter, or none.
     """
 
     def __init__(self, backend: Backend, grids: str) -> None:
@@ -31,11 +34,11 @@ class OnlyGrids:
         self._backend, self._grids = backend, grids
         self.name, self.precision, self.threads = backend.name, backend.precision, backend.threads
 
-    def run(self, images: Sequence[NDArray[np.uint8]]) -> list[Maps]:
-        """Raw maps of each image, in order, with scores of zero in the cells left out."""
+    def run(self, images: Sequence[ImageArray]) -> list[Maps]:
+        """Return the raw maps of each image, in order, with scores of zero in the cells of other grids."""
         return [(self._kept(scores), endpoints) for scores, endpoints in self._backend.run(images)]
 
-    def _kept(self, scores: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _kept(self, scores: Floats32) -> Floats32:
         kept = np.zeros_like(scores)
         for row, column in (GRIDS[grid] for grid in self._grids):
             kept[row::2, column::2] = scores[row::2, column::2]

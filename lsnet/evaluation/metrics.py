@@ -1,4 +1,4 @@
-"""How good detections are: pixel precision and recall with a tolerance, and structural AP.
+"""Pixel precision and recall with a tolerance, and structural AP.
 
 Pixel scores compare a confidence map of one-pixel lines with a `PixelTruth`: precision is the share of drawn
 pixels within the tolerance of a cable's mask, recall the share of centreline pixels that have a drawn
@@ -17,7 +17,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import Floats, Floats32, Ints, Mask, RealArray
+
 
 THRESHOLDS = np.linspace(0.05, 0.95, 19)
 
@@ -26,18 +27,20 @@ THRESHOLDS = np.linspace(0.05, 0.95, 19)
 class PixelTruth:
     """Where the cables of one image are.
 
-    mask: (H, W) bool, their whole width; centreline: (H, W) bool, one pixel wide; half_width_px: (H, W)
-    float32, at least on the centreline.
+    Attributes:
+        mask: (H, W) bool, the cables in their full width.
+        centreline: (H, W) bool, one pixel wide.
+        half_width_px: (H, W) float32, valid on the centreline at least.
     """
 
-    mask: NDArray[np.bool_]
-    centreline: NDArray[np.bool_]
-    half_width_px: NDArray[np.float32]
+    mask: Mask
+    centreline: Mask
+    half_width_px: Floats32
 
 
 @dataclass(frozen=True, slots=True)
 class PixelScore:
-    """Pooled over a set at one threshold; mean_f1 is the mean over images of each one's own F1."""
+    """Scores pooled over a set at one threshold; mean_f1 is the mean of the F1 of each image."""
 
     threshold: float
     precision: float
@@ -46,19 +49,19 @@ class PixelScore:
     mean_f1: float
 
 
-def distance_to(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W) px from each pixel to the nearest set one, far beyond any tolerance where there is none."""
+def distance_to(mask: Mask) -> Floats32:
+    """Return (H, W) distances to the nearest set pixel, px; a thousand everywhere if there is none."""
     if not mask.any():
         return np.full(mask.shape, 1e3, np.float32)
     return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
 
 
-def pixel_counts(
-    confidence: NDArray[np.float32], truth: PixelTruth, tolerance_px: float, thresholds: NDArray[np.floating]
-) -> NDArray[np.int64]:
-    """(T, 4) at each threshold: right and all drawn pixels, found and all centreline pixels.
+def pixel_counts(confidence: Floats32, truth: PixelTruth, tolerance_px: float, thresholds: RealArray) -> Ints:
+    """Count the pixels of one image.
 
-    What has no score is not drawn, at a threshold of 0 either.
+    Returns:
+        (T, 4) at each threshold: drawn pixels near a cable, drawn pixels, centreline pixels found, and
+        centreline pixels. Pixels without a score are not drawn, even at a threshold of 0.
     """
     is_near_cable = distance_to(truth.mask) <= tolerance_px
     counts = np.zeros((len(thresholds), 4), np.int64)
@@ -69,8 +72,8 @@ def pixel_counts(
     return counts
 
 
-def pixel_scores(counts: NDArray[np.int64], thresholds: NDArray[np.floating]) -> list[PixelScore]:
-    """Scores at each threshold from the counts of each image, (images, T, 4)."""
+def pixel_scores(counts: Ints, thresholds: RealArray) -> list[PixelScore]:
+    """Return the scores at each threshold from the counts (images, T, 4)."""
     pooled, own = rates(counts.sum(axis=0)), rates(counts)
     return [
         PixelScore(float(t), float(p), float(r), float(f1), float(mean_f1))
@@ -78,8 +81,8 @@ def pixel_scores(counts: NDArray[np.int64], thresholds: NDArray[np.floating]) ->
     ]
 
 
-def rates(counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(..., 3) precision, recall, F1 from (..., 4) counts."""
+def rates(counts: Ints) -> Floats:
+    """Return (..., 3) precision, recall and F1 from (..., 4) counts."""
     precision = counts[..., 0] / np.maximum(counts[..., 1], 1)
     recall = counts[..., 2] / np.maximum(counts[..., 3], 1)
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-9)
@@ -87,16 +90,22 @@ def rates(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def structural_ap(
-    detected: Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]],
-    truth: Sequence[NDArray[np.floating]],
+    detected: Sequence[tuple[RealArray, RealArray]],
+    truth: Sequence[RealArray],
     image_sizes: Sequence[tuple[int, int]],
     threshold: float,
 ) -> float:
-    """Structural AP of segments (N, 4) with scores (N,) against true segments (M, 4), one entry an image.
+    """Return the structural AP (Zhou et al., L-CNN) of segments.
 
-    Endpoints are scaled to 128 x 128; a detection, in order of score, is right when the sum of the two
-    squared endpoint distances to its nearest true segment, over both orders, is under `threshold` and that
-    segment is not taken yet. Area under the monotone envelope of precision over recall.
+    Endpoints are scaled to 128 x 128. A detection, in order of score, is correct if the sum of the squared
+    distances of its endpoints to its nearest true segment, in the better order, is below `threshold` and
+    that segment is not matched yet. The AP is the area under the monotone envelope of precision over recall.
+
+    Args:
+        detected: Per image, segments (N, 4) and their scores (N,).
+        truth: Per image, true segments (M, 4).
+        image_sizes: Per image, (height, width).
+        threshold: Squared pixels; 5, 10 and 15 are customary.
     """
     scores, hits = [], []
     for (endpoints, own_scores), true, (height, width) in zip(detected, truth, image_sizes, strict=True):
@@ -114,9 +123,7 @@ def structural_ap(
     return float((precision * np.diff(np.concatenate([[0], right])) / total).sum())
 
 
-def _greedy_hits(
-    detected: NDArray[np.floating], true: NDArray[np.floating], threshold: float
-) -> NDArray[np.bool_]:
+def _greedy_hits(detected: RealArray, true: RealArray, threshold: float) -> Mask:
     hits, taken = np.zeros(len(detected), bool), np.zeros(len(true), bool)
     if not len(true):
         return hits

@@ -1,7 +1,7 @@
-"""Scores as in the paper (Section IV-A): segmentation maps from segments, ARR, APR and F1 without tolerance.
+"""Scores as in the paper (Section IV-A): segmentation maps from segments; ARR, APR and F1 without tolerance.
 
-Each image has a precision, a recall and an F1 of its pixels. The three are averaged over the images each on
-its own, so the F1 is not the harmonic mean of the other two. Pooled scores divide the counts of the set.
+Precision, recall and F1 are computed per image and averaged, so the F1 is not the harmonic mean of the other
+two. Pooled scores are computed from the counts of the whole set.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from lsnet.evaluation.datasets import images_of, load_truth
 from lsnet.evaluation.metrics import rates
-from lsnet.evaluation.pixels import used
+from lsnet.evaluation.pixels import segments_of
 from lsnet.evaluation.rasterize import confidence_map, otsu_mask, smoothed
 from lsnet.images import load_rgb
 
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import Mask
     from lsnet.evaluation.pixels import LineDetector, Use
     from lsnet.segments import Segments
 
@@ -34,7 +33,7 @@ PLAIN_THRESHOLD = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PaperScore:
-    """Of a set, at one width of lines and one way to make the map binary: means over images, and pooled."""
+    """Scores of a set at one line width and one way of binarisation: means over images, and pooled."""
 
     folder: str
     images: int
@@ -56,22 +55,27 @@ class PaperScore:
         )
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
-def segmentation(segments: Segments, width_px: int, binarised: Binarised) -> NDArray[np.bool_]:
-    """(H, W) pixels said to be cable: of lines so wide, smoothed and cut by Otsu, or cut at 0.5 as drawn."""
+def segmentation(segments: Segments, width_px: int, binarised: Binarised) -> Mask:
+    """Return (H, W) pixels classified as cable: drawn, then smoothed and cut by Otsu, or cut at 0.5."""
     drawn = confidence_map(segments, width_px)
     return otsu_mask(smoothed(drawn)) if binarised == "otsu" else drawn >= PLAIN_THRESHOLD
 
 
 def evaluate_as_paper(
-    finder: LineDetector, folder: Path, *, use: Use = "segments", on_image: Callable[[], None] = lambda: None
+    detector: LineDetector,
+    folder: Path,
+    *,
+    use: Use = "segments",
+    on_image: Callable[[], None] = lambda: None,
 ) -> list[PaperScore]:
-    """Scores of a folder for each width and both ways; none for a folder without pixel truth.
+    """Score a folder for each width and way of binarisation; no scores for a folder without pixel truth.
 
-    Raises LSNetError when the folder holds no images, or a truth is missing or of another size.
+    Raises:
+        LSNetError: The folder has no images, or a truth is missing or has another size.
     """
     kind, files = images_of(folder)
     if kind == "plain":
@@ -79,12 +83,12 @@ def evaluate_as_paper(
     ways: list[tuple[int, Binarised]] = [(w, how) for how in ("otsu", "0.5") for w in WIDTHS_PX]
     counts = np.zeros((len(files), len(ways), 4), np.int64)
     for i, path in enumerate(files):
-        segments = used(finder.detect([load_rgb(path)])[0], use)
+        segments = segments_of(detector.detect([load_rgb(path)])[0], use)
         mask = load_truth(kind, path, segments.image_size).mask
         for k, (width_px, how) in enumerate(ways):
-            said = segmentation(segments, width_px, how)
-            right = int((said & mask).sum())
-            counts[i, k] = right, said.sum(), right, mask.sum()
+            predicted = segmentation(segments, width_px, how)
+            right = int((predicted & mask).sum())
+            counts[i, k] = right, predicted.sum(), right, mask.sum()
         on_image()
     means, pooled = rates(counts).mean(axis=0), rates(counts.sum(axis=0))
     return [

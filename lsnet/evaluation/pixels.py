@@ -1,4 +1,4 @@
-"""Evaluation on a folder of images: pixel scores where there is truth, reports where there is none."""
+"""Evaluation on a folder of images: pixel scores if there is truth, else shares of images with a report."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import ImageArray
     from lsnet.segments import Detections, Segments
 
     Use = Literal["segments", "lines"]
@@ -26,21 +25,21 @@ REPORT_THRESHOLDS = (0.3, 0.5, 0.7, 0.9)
 
 
 class LineDetector(Protocol):
-    """What can be evaluated: a `Detector`, or a rival."""
+    """Anything that can be evaluated: a `Detector` or a rival."""
 
-    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
-        """What is found in each uint8 (H, W, 3) RGB image, in its own pixels."""
+    def detect(self, images: Sequence[ImageArray]) -> list[Detections]:
+        """Detect in uint8 (H, W, 3) RGB images, in the pixels of each."""
         ...
 
 
-def used(detections: Detections, use: Use) -> Segments:
-    """What counts of the detections: the raw segments, or the pieces of the lines."""
+def segments_of(detections: Detections, use: Use) -> Segments:
+    """Return what is evaluated: the raw segments, or the straight pieces of the lines."""
     return detections.segments if use == "segments" else detections.lines.pieces()
 
 
 @dataclass(frozen=True, slots=True)
 class PixelReport:
-    """A set with pixel truth at one tolerance: the best threshold (ODS), and the one asked for."""
+    """Scores of a set with pixel truth at one tolerance: at the best threshold (ODS), and at `min_score`."""
 
     folder: str
     images: int
@@ -56,13 +55,13 @@ class PixelReport:
         )
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
 class ShareReport:
-    """A set without pixel truth: the share of its images in which something is reported, by least score."""
+    """Share of the images of a set without pixel truth that have a report, by minimum score."""
 
     folder: str
     images: int
@@ -74,7 +73,7 @@ class ShareReport:
         return f"{self.folder}: {self.images} images, with a reported {self.use[:-1]}: {shares}"
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
@@ -87,17 +86,20 @@ def evaluate(
     tolerances_px: Sequence[float] = (1.0, 3.0, 4.87),
     on_image: Callable[[], None] = lambda: None,
 ) -> list[PixelReport | ShareReport]:
-    """Reports of one folder, by tolerance. The detector must tell all from score 0.05 up.
+    """Evaluate on one folder; one report per tolerance, or one for a folder without pixel truth.
 
-    Raises LSNetError when the folder holds no images, or a truth is missing or of another size.
+    The detector must report everything from a score of 0.05.
+
+    Raises:
+        LSNetError: The folder has no images, or a truth is missing or has another size.
     """
     kind, files = images_of(folder)
     thresholds = np.append(THRESHOLDS, min_score)
     counts: dict[float, list[object]] = {tolerance: [] for tolerance in tolerances_px}
     best_scores = []
     for path in files:
-        segments = used(detector.detect([load_rgb(path)])[0], use)
-        best_scores.append(float(segments.scores.max(initial=-1.0)))  # -1: nothing told
+        segments = segments_of(detector.detect([load_rgb(path)])[0], use)
+        best_scores.append(float(segments.scores.max(initial=-1.0)))  # -1: nothing reported
         if kind != "plain":
             truth, confidence = load_truth(kind, path, segments.image_size), confidence_map(segments)
             for tolerance in tolerances_px:

@@ -1,4 +1,4 @@
-"""Segments as pixels (Section IV-A): a confidence map, smoothed and made binary."""
+"""Segments as pixels (Section IV-A): a confidence map, smoothed and binarised."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ import cv2
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import Floats32, Mask
     from lsnet.segments import Segments
 
 
-def confidence_map(segments: Segments, width_px: int = 1) -> NDArray[np.float32]:
-    """(H, W) float32: 8-connected Bresenham lines, each pixel with the highest score of those through it.
+def confidence_map(segments: Segments, width_px: int = 1) -> Floats32:
+    """Draw segments as 8-connected Bresenham lines; (H, W) float32, the highest score at each pixel.
 
-    A line of width W is W lines of one pixel side by side, across its steeper axis: exactly W pixels in
-    each column, or in each row. (OpenCV's own thick lines are wider than they are asked to be.)
+    A line of width W is drawn as W lines of one pixel side by side: exactly W pixels in each column of a
+    flat line, or in each row of a steep one. (OpenCV's own thick lines are wider than requested.)
     """
     drawn = np.zeros(segments.image_size, np.float32)
     last = np.array([segments.image_size[1] - 1, segments.image_size[0] - 1] * 2)
     pixels = np.clip(np.floor(segments.endpoints).astype(int), 0, last)
-    for i in np.argsort(segments.scores, kind="stable"):  # the strongest last, on top
+    for i in np.argsort(segments.scores, kind="stable"):  # the highest score last, on top
         x1, y1, x2, y2 = pixels[i].tolist()
         is_flat = abs(x2 - x1) >= abs(y2 - y1)
         for shift in range(-((width_px - 1) // 2), width_px // 2 + 1):
@@ -32,13 +31,13 @@ def confidence_map(segments: Segments, width_px: int = 1) -> NDArray[np.float32]
     return drawn
 
 
-def smoothed(confidence: NDArray[np.float32], sigma_px: float = 1.0) -> NDArray[np.float32]:
-    """The map filtered by a Gaussian; the paper does not say how wide."""
+def smoothed(confidence: Floats32, sigma_px: float = 1.0) -> Floats32:
+    """Filter the map by a Gaussian, whose width the paper leaves open."""
     return np.asarray(cv2.GaussianBlur(confidence, (0, 0), sigma_px), np.float32)
 
 
-def otsu_mask(confidence: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels above Otsu's threshold of the map."""
+def otsu_mask(confidence: Floats32) -> Mask:
+    """Return the pixels above Otsu's threshold of the map."""
     grey = np.round(np.clip(confidence, 0, 1) * 255).astype(np.uint8)
     _, mask = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     return np.asarray(mask > 0)

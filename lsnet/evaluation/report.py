@@ -1,4 +1,4 @@
-"""All that `model eval` tells of one detector, in one go."""
+"""All reports of `model eval` on one detector."""
 
 from __future__ import annotations
 
@@ -26,20 +26,28 @@ if TYPE_CHECKING:
 
     from lsnet.evaluation.pixels import LineDetector, Use
 
-EVALUATION_SEED = 2 * VALIDATION_SEED  # no drawn image is trained or validated on
+EVALUATION_SEED = 2 * VALIDATION_SEED  # these images are never trained or validated on
 
 
-class Report(Protocol):
-    """One line of the table."""
+class EvaluationReport(Protocol):
+    """The scores of one set."""
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class EvalTask:
-    """What to score on: folders, by the paper's scores too or not, and so many drawn images."""
+    """What to evaluate on.
+
+    Attributes:
+        folders: Evaluation sets.
+        use: Score segments or lines.
+        paper: Also compute the paper's scores.
+        synthetic: Number of synthetic images.
+        backgrounds: DIR or DIR:FIRST, for the synthetic images.
+    """
 
     folders: tuple[Path, ...]
     use: Use
@@ -48,14 +56,16 @@ class EvalTask:
     backgrounds: tuple[str, ...]
 
     def count_images(self) -> int:
-        """How many images will be looked at.
+        """Return how many images will be detected in.
 
-        Raises LSNetError for a folder without, nothing to do, or backgrounds that nothing is drawn on.
+        Raises:
+            LSNetError: A folder has no images, there is nothing to do, or there are backgrounds but no
+                synthetic images.
         """
         if not self.folders and not self.synthetic:
-            raise LSNetError("nothing to evaluate on; give folders of images, or --synthetic")
+            raise LSNetError("nothing to evaluate; give folders of images, or a number of synthetic images")
         if self.backgrounds and not self.synthetic:
-            raise LSNetError("--background is drawn on; say how many images, with --synthetic")
+            raise LSNetError("backgrounds are for synthetic images only; give a number of these")
         count = self.synthetic
         for folder in self.folders:
             kind, files = images_of(folder)
@@ -66,10 +76,16 @@ class EvalTask:
 def open_line_detector(
     weights: str, runtime: str, rival: str | None, grids: str = "MHVC"
 ) -> tuple[LineDetector, float]:
-    """What is to be scored, telling all from score 0.05 up, and its own threshold.
+    """Open the detector to evaluate, with a threshold of 0.05; return it with its default threshold.
 
-    rival: lsd, or the path of M-LSD's .tflite. grids: those of the weights that are used. Raises LSNetError
-    for others.
+    Args:
+        weights: Name or file of weights.
+        runtime: As in `Detector.load`.
+        rival: Another detector instead: lsd, or the path of M-LSD's .tflite file.
+        grids: Letters of the grids to use, as in `OnlyGrids`.
+
+    Raises:
+        LSNetError: One of them is unknown or cannot be used.
     """
     if rival == "lsd":
         return LSD(), LSD.min_score
@@ -83,20 +99,20 @@ def open_line_detector(
 
 
 def evaluate_all(
-    finder: LineDetector, task: EvalTask, min_score: float, on_image: Callable[[], None] = lambda: None
-) -> list[Report]:
-    """The table, line by line: the folders in order, then the drawn images."""
-    reports: list[Report] = []
+    detector: LineDetector, task: EvalTask, min_score: float, on_image: Callable[[], None] = lambda: None
+) -> list[EvaluationReport]:
+    """Return the reports of the folders in order, then of the synthetic images."""
+    reports: list[EvaluationReport] = []
     for folder in task.folders:
-        reports += evaluate(finder, folder, min_score=min_score, use=task.use, on_image=on_image)
+        reports += evaluate(detector, folder, min_score=min_score, use=task.use, on_image=on_image)
         if task.paper:
-            reports += evaluate_as_paper(finder, folder, use=task.use, on_image=on_image)
+            reports += evaluate_as_paper(detector, folder, use=task.use, on_image=on_image)
     if task.synthetic:
         pool = BackgroundPool([BackgroundFolder.parse(text) for text in task.backgrounds])
         scenes = SyntheticScenes(pool, seed=EVALUATION_SEED)
         reports.append(
             evaluate_cables(
-                finder, scenes, task.synthetic, min_score=min_score, use=task.use, on_image=on_image
+                detector, scenes, task.synthetic, min_score=min_score, use=task.use, on_image=on_image
             )
         )
     return reports

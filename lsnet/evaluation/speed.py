@@ -1,4 +1,4 @@
-"""How many frames a second a detector handles, from uint8 pixels to segments and lines."""
+"""Frames per second of a detector, from uint8 pixels to segments and lines."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ from lsnet.synth.dataset import SyntheticScenes
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import ImageArray
     from lsnet.runtime import Backend
 
-COUNT = 16  # different images, so that no cache holds them all
+COUNT = 16  # different images, more than the caches of a CPU hold
 BATCH = 8
 
 
@@ -45,7 +44,7 @@ class Speed:
 
 
 def measure_speed(weights: str | Path, runtime: str, size: int, folder: Path | None, seconds: float) -> Speed:
-    """Frames a second over `seconds`, after a warm-up. Raises LSNetError."""
+    """Measure the frames per second over `seconds`, after a warm-up. Raises LSNetError."""
     detector = Detector.load(weights, runtime=runtime, scale=1.0)
     images = _squares(folder, size)
     detector.detect(images[:BATCH])
@@ -66,7 +65,7 @@ def measure_speed(weights: str | Path, runtime: str, size: int, folder: Path | N
 
 
 def least_cpu_ms(backend: Backend, size: int = 512, repeats: int = 40) -> float:
-    """Least CPU time of one frame of `repeats`, milliseconds: what else runs on the machine hardly counts."""
+    """Return the least CPU time of one image in `repeats` runs, ms, which other load hardly changes."""
     image = [SyntheticScenes(BackgroundPool([]), size)[0].image]
     backend.run(image)
     times = []
@@ -77,8 +76,8 @@ def least_cpu_ms(backend: Backend, size: int = 512, repeats: int = 40) -> float:
     return min(times) / 1e6
 
 
-def _squares(folder: Path | None, size: int) -> list[NDArray[np.uint8]]:
-    """COUNT square images: photographs enlarged until they cover the square and cut, or drawn scenes."""
+def _squares(folder: Path | None, size: int) -> list[ImageArray]:
+    """COUNT square images: centre crops of photographs, enlarged if too small, or synthetic scenes."""
     if folder is None:
         scenes = SyntheticScenes(BackgroundPool([]), size)
         return [scenes[i].image for i in range(COUNT)]
@@ -86,7 +85,7 @@ def _squares(folder: Path | None, size: int) -> list[NDArray[np.uint8]]:
     return [_square(load_rgb(files[i % len(files)]), size) for i in range(COUNT)]
 
 
-def _square(photo: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+def _square(photo: ImageArray, size: int) -> ImageArray:
     factor = max(1.0, size / min(photo.shape[:2]))
     if factor > 1:
         photo = np.asarray(cv2.resize(photo, None, fx=factor, fy=factor), np.uint8)

@@ -79,7 +79,7 @@ def _naming(path: Path) -> Iterator[None]:
     """Turn whatever a malformed label file raises into one line that names it."""
     try:
         yield
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as err:
         raise LSNetError(
             f"{path}: labels cannot be read ({type(err).__name__}: {err}); write them again"
         ) from err

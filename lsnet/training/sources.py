@@ -57,16 +57,18 @@ def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
         raise LSNetError(f"crops of {data.size} px do not fit the cells; give a multiple of {STRIDE_PX}")
     if data.data is None:
         if data.validation or data.labels:
-            raise LSNetError("--validation and --label are of labelled images; give these with --data")
+            raise LSNetError(
+                "validation images and labels need labelled images to train on; give some as data"
+            )
         pool = BackgroundPool([BackgroundFolder.parse(text) for text in data.backgrounds])
         unseen = SyntheticScenes(pool, data.size, data.seed + VALIDATION_SEED)
         if data.rendered:
             return RenderedScenes(data.rendered, pool, data.size, data.seed), unseen
         return SyntheticScenes(pool, data.size, data.seed), unseen
     if data.backgrounds or data.rendered:
-        raise LSNetError("--data is trained on as it is; leave out --background and --rendered")
+        raise LSNetError("labelled images are used as they are; leave out backgrounds and rendered pictures")
     if data.validation is None:
-        raise LSNetError("--data needs --validation with other labelled images, to know when to stop")
+        raise LSNetError("labelled images need other ones for validation, to know when to stop")
     train, validation = (load_labels(folder, data.labels) for folder in (data.data, data.validation))
     return (
         LabelledScenes(train, data.size, data.seed),
@@ -86,7 +88,7 @@ def export_run(run: Path, output: Path, name: str, min_score: float, metrics: Pa
     recipe: dict[str, Any] = load_checkpoint(run / "last.pt", LAST_KEYS)["recipe"]
     try:
         measured = [json.loads(line) for line in metrics.read_text().splitlines()] if metrics else []
-    except (OSError, ValueError) as err:
+    except (OSError, ValueError, RecursionError) as err:
         raise LSNetError(f"{metrics}: not the output of lsnet-pipe model eval --json") from err
     try:
         config = LSNetConfig(**recipe.pop("network"))

@@ -174,7 +174,7 @@ class Trainer:
                 continue
             loss = self.validate(validation_batches)
             if not math.isfinite(loss):
-                raise LSNetError(f"{self.run_dir}: the loss grew beyond all bounds; lower --learning-rate")
+                raise LSNetError(f"{self.run_dir}: the loss grew beyond all bounds; lower the learning rate")
             report(replace(progress, validation_loss=loss))
             self._log(replace(progress, validation_loss=loss))
             self._keep(loss)
@@ -277,14 +277,14 @@ class Trainer:
         changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
         if changed:
             raise LSNetError(
-                f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another --run folder"
+                f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another run folder"
             )
         try:
             self.net.load_state_dict(state["net"])
             self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
         except (LookupError, RuntimeError, ValueError) as err:
-            raise LSNetError(f"{path}: damaged or of another version; give another --run folder") from err
+            raise LSNetError(f"{path}: damaged or of another version; give another run folder") from err
         self.step, self.best_loss = state["step"], state["best_loss"]
         self.bad_validations = state["bad_validations"]
 

@@ -1,1 +1,1 @@
-"""Line detectors of others, behind the interface of `Detector`."""
+"""Other line detectors with the interface of `Detector`."""

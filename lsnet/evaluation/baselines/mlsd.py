@@ -1,7 +1,7 @@
-"""M-LSD (Gu et al., AAAI 2022), a learned rival, from the authors' .tflite file by OpenVINO.
+"""M-LSD (Gu et al., AAAI 2022), a learned rival: the authors' .tflite file run by OpenVINO.
 
-The file is not shipped: M-LSD_512_tiny_fp32.tflite of github.com/navervision/mlsd, Apache-2.0. An image is
-resized to the square of the network, whatever its shape, as its authors do.
+The file is not shipped: M-LSD_512_tiny_fp32.tflite of github.com/navervision/mlsd, Apache-2.0. As the authors
+do, an image is resized to the square of the network, whatever its shape.
 """
 
 from __future__ import annotations
@@ -19,21 +19,20 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import Floats32, ImageArray, Ints32
     from lsnet.segments import Detections
 
-LEAST_CENTRE_SCORE = 0.1  # the authors' own
-LEAST_LENGTH_PX = 20.0  # the authors' own, in places of the network's map, half its image
+MIN_CENTRE_SCORE = 0.1  # the authors' value
+MIN_LENGTH_PX = 20.0  # the authors' own, in positions of the network's map, which has half the image's size
 
 
 class MLSD:
-    """Each segment is told as a line too, with its length for a score."""
+    """Reports each segment also as a line, scored by length."""
 
     min_score: ClassVar[float] = 0.5  # 69 px
 
     def __init__(self, path: Path) -> None:
-        """Raises LSNetError when the file cannot be read or OpenVINO is not installed."""
+        """Load the file. Raises LSNetError when it cannot be read or OpenVINO is not installed."""
         try:
             ov = import_openvino()
         except ImportError as err:
@@ -44,11 +43,11 @@ class MLSD:
             raise LSNetError(f"{path}: not a network OpenVINO can read; give M-LSD's .tflite") from err
         self._side = int(self._model.input(0).shape[1])
 
-    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
-        """Segments of uint8 (H, W, 3) RGB images, in their pixels."""
+    def detect(self, images: Sequence[ImageArray]) -> list[Detections]:
+        """Detect in uint8 (H, W, 3) RGB images, in the pixels of each."""
         return [self._detect(image) for image in images]
 
-    def _detect(self, image: NDArray[np.uint8]) -> Detections:
+    def _detect(self, image: ImageArray) -> Detections:
         size = (image.shape[0], image.shape[1])
         square = cv2.resize(image, (self._side, self._side), interpolation=cv2.INTER_AREA)
         opaque = np.ones((self._side, self._side, 1), np.float32)
@@ -58,21 +57,24 @@ class MLSD:
 
 
 def decode(
-    centres: NDArray[np.int32],
-    centre_scores: NDArray[np.float32],
-    displacements: NDArray[np.float32],
+    centres: Ints32,
+    centre_scores: Floats32,
+    displacements: Floats32,
     size: tuple[int, int],
 ) -> Detections:
-    """Segments in an image of (height, width) from what the network says of its square.
+    """Decode the network's output for an image of (height, width).
 
-    centres: (K, 2) row and column in the map; centre_scores: (K,); displacements: (R, C, 4), of each place of
-    the map the steps to both ends, x1 y1 x2 y2 in places of the map.
+    Args:
+        centres: (K, 2) row and column in the map.
+        centre_scores: (K,).
+        displacements: (R, C, 4), from each position of the map to both ends, x1 y1 x2 y2 in map positions.
+        size: (height, width) of the image.
     """
     rows, columns = displacements.shape[:2]
     steps = displacements[centres[:, 0], centres[:, 1]]
-    is_told = (centre_scores > LEAST_CENTRE_SCORE) & (
-        np.hypot(*(steps[:, 2:] - steps[:, :2]).T) > LEAST_LENGTH_PX
+    is_kept = (centre_scores > MIN_CENTRE_SCORE) & (
+        np.hypot(*(steps[:, 2:] - steps[:, :2]).T) > MIN_LENGTH_PX
     )
-    ends = (steps + np.tile(centres[:, ::-1] + 0.5, 2))[is_told]
+    ends = (steps + np.tile(centres[:, ::-1] + 0.5, 2))[is_kept]
     ends = (ends * np.tile([size[1] / columns, size[0] / rows], 2)).astype(np.float32)
     return by_length(ends, size)

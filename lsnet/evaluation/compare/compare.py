@@ -1,7 +1,7 @@
-"""Short trainings of several networks or losses on the same drawn images, scored and timed the same way.
+"""Short trainings of several networks or losses on the same synthetic images, scored and timed the same way.
 
-Every candidate sees the same crops in the same order, from first weights of the same seed. Results are kept
-as JSON lines; a candidate that is there already is not run again, and a killed one goes on.
+Each variant sees the same crops in the same order, from initial weights of the same seed. Results are kept as
+JSON lines: a variant that has one is not run again, and an interrupted one continues.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 FAST = PRESETS["fast"]
 RESULTS_FILE = "results.jsonl"
-VALIDATION_IMAGES = 128  # the last ones of the set
+VALIDATION_IMAGES = 128  # the last images of the set
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One network with one loss; `seed` of its first weights and its crops."""
+    """One network with one loss; `seed` sets its initial weights and its crops."""
 
     name: str
     network: LSNetConfig = FAST
@@ -66,12 +66,12 @@ ABLATIONS = (
     Variant("L2", loss=MultiTaskLoss(regression="l2")),
     Variant("ends from left to right", loss=MultiTaskLoss(error=ordered_error)),
 )
-CANDIDATES = {"networks": NETWORKS, "ablations": ABLATIONS}
+VARIANTS = {"networks": NETWORKS, "ablations": ABLATIONS}
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Where the set and the runs lie, and how long each candidate is trained."""
+    """Folders of the set and of the runs, and how long each variant is trained."""
 
     folder: Path
     backgrounds: tuple[str, ...]
@@ -84,18 +84,18 @@ class Comparison:
 
     @property
     def drawn(self) -> Path:
-        """The folder of the drawn set."""
+        """Folder of the training set."""
         return self.folder / "set"
 
     def draw(self, workers: int, on_image: Callable[[], None]) -> None:
-        """Draw the set, unless it is there."""
+        """Draw the set, unless it exists."""
         count = self.images + VALIDATION_IMAGES
         draw_set(self.drawn, self.backgrounds, count, seed=self.seed, workers=workers, on_image=on_image)
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What one candidate reached: ODS at 1 px of raw segments by set, and the drawn validation loss."""
+    """Scores of one variant: ODS at 1 px of raw segments by set, and the loss on the validation images."""
 
     name: str
     parameters: int
@@ -106,7 +106,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A result with the least CPU milliseconds of a 512 x 512 frame on one thread, by runtime."""
+    """A result with the CPU time of a 512 x 512 image on one thread, ms, by runtime."""
 
     result: Result
     cpu_ms: dict[str, float]
@@ -114,29 +114,29 @@ class Row:
 
 def compare_all(
     comparison: Comparison,
-    candidates: Sequence[Variant],
+    variants: Sequence[Variant],
     *,
     workers: int = 1,
-    report: Callable[[str, int], None] = lambda _words, _step: None,
+    report: Callable[[str, int], None] = lambda _task, _step: None,
 ) -> list[Row]:
-    """Draw the set, run every candidate that has no result yet, and time all of them.
+    """Draw the set, run each variant that has no result yet, and time all of them.
 
-    `report` is told what is being done and the steps of all candidates together.
+    `report` is called with the current task and the steps of all variants so far.
     """
     comparison.draw(workers, on_image=lambda: report("draw", 0))
     results = []
-    for i, candidate in enumerate(candidates):
+    for i, variant in enumerate(variants):
 
-        def told(step: int, name: str = candidate.name, before: int = i * comparison.steps) -> None:
+        def report_step(step: int, name: str = variant.name, before: int = i * comparison.steps) -> None:
             report(name, before + step)
 
-        results.append(run_candidate(comparison, candidate, told))
-    return [Row(r, cpu_ms_of(c.network)) for r, c in zip(results, candidates, strict=True)]
+        results.append(run_variant(comparison, variant, report_step))
+    return [Row(r, cpu_ms_of(v.network)) for r, v in zip(results, variants, strict=True)]
 
 
 @cache
 def cpu_ms_of(network: LSNetConfig) -> dict[str, float]:
-    """Least CPU milliseconds of a 512 x 512 frame on one thread, by the runtimes that are installed."""
+    """Measure the CPU time of a 512 x 512 image on one thread, ms, by the installed runtimes."""
     torch.manual_seed(0)
     net = LSNet(network).eval()
     backends: dict[str, Backend] = {"torch": TorchBackend(net)}
@@ -147,25 +147,25 @@ def cpu_ms_of(network: LSNetConfig) -> dict[str, float]:
 
 
 def results_of(comparison: Comparison) -> dict[str, Result]:
-    """The results kept so far, by candidate. Raises LSNetError for a damaged file."""
+    """The results kept so far, by variant. Raises LSNetError for a damaged file."""
     path = comparison.folder / RESULTS_FILE
     try:
         lines = path.read_text().splitlines() if path.exists() else []
         results = [Result(**json.loads(line)) for line in lines]
-    except (OSError, ValueError, TypeError) as err:
+    except (OSError, ValueError, TypeError, RecursionError) as err:
         raise LSNetError(f"{path}: damaged; delete it and run again") from err
     return {result.name: result for result in results if result.steps == comparison.steps}
 
 
-def run_candidate(
-    comparison: Comparison, candidate: Variant, report: Callable[[int], None] = lambda _step: None
+def run_variant(
+    comparison: Comparison, variant: Variant, report: Callable[[int], None] = lambda _step: None
 ) -> Result:
-    """Train and score one candidate, or give what is kept of it. `report` is told the step."""
+    """Train and score one variant, unless there is a result; `report` is called with each step."""
     kept = results_of(comparison)
-    if candidate.name in kept:
-        return kept[candidate.name]
-    trainer = _trainer(comparison, candidate)
-    train_on = Crops.of(comparison.drawn, 0, comparison.images, size=comparison.crop, seed=candidate.seed)
+    if variant.name in kept:
+        return kept[variant.name]
+    trainer = _trainer(comparison, variant)
+    train_on = Crops.of(comparison.drawn, 0, comparison.images, size=comparison.crop, seed=variant.seed)
     last = comparison.images + VALIDATION_IMAGES
     validate_on = Crops.of(
         comparison.drawn, comparison.images, last, size=comparison.crop, seed=comparison.seed
@@ -174,20 +174,20 @@ def run_candidate(
     net = trainer.average
     validation = list(loader(validate_on, range(VALIDATION_IMAGES), trainer.config))
     result = Result(
-        name=candidate.name,
+        name=variant.name,
         parameters=sum(p.numel() for p in net.parameters()),
         steps=comparison.steps,
         validation_loss=trainer.validate(validation),
-        ods=score(net, comparison.sets, main_grid_only=candidate.loss.main_grid_only),
+        ods=score(net, comparison.sets, main_grid_only=variant.loss.main_grid_only),
     )
     with (comparison.folder / RESULTS_FILE).open("a") as log:
         log.write(json.dumps(asdict(result)) + "\n")
     return result
 
 
-def _trainer(comparison: Comparison, candidate: Variant) -> Trainer:
+def _trainer(comparison: Comparison, variant: Variant) -> Trainer:
     config = TrainConfig(
-        preset=candidate.name,
+        preset=variant.name,
         steps=comparison.steps,
         batch_size=comparison.batch_size,
         warmup_steps=min(100, comparison.steps),
@@ -195,12 +195,12 @@ def _trainer(comparison: Comparison, candidate: Variant) -> Trainer:
         validation_images=VALIDATION_IMAGES,
         workers=0,
     )
-    run = comparison.folder / "runs" / candidate.name.replace(" ", "_")
-    return Trainer(config, run, seed=candidate.seed, network=candidate.network, loss=candidate.loss)
+    run = comparison.folder / "runs" / variant.name.replace(" ", "_")
+    return Trainer(config, run, seed=variant.seed, network=variant.network, loss=variant.loss)
 
 
 def score(net: LSNet, sets: Sequence[Path], *, main_grid_only: bool = False) -> dict[str, float]:
-    """ODS at 1 px of the raw segments of a network, by the name of the set."""
+    """Return the ODS at 1 px of the raw segments of a network, by name of the set."""
     card = WeightsCard("compared", "compared", net.config, min_score=0.5)
     backend = OnlyGrids(TorchBackend(net), "M" if main_grid_only else "MHVC")
     detector = Detector(Weights(net, card, ""), backend, scale=None, min_score=0.05)

@@ -1,4 +1,4 @@
-"""A set of drawn images kept on disk, so that networks and losses are compared on the very same ones."""
+"""A set of synthetic images on disk, so that networks and losses are compared on the same ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import Floats, ImageArray
+
 
 DRAWN_PX = 384
 IMAGES_FILE, LINES_FILE = "images.npy", "lines.npz"
@@ -41,16 +42,19 @@ def draw_set(
     workers: int,
     on_image: Callable[[], None] = lambda: None,
 ) -> None:
-    """Fill a folder with `count` drawn images and their lines; what is there already is kept.
+    """Fill a folder with `count` synthetic images and their lines, unless it has them already.
 
-    backgrounds: DIR or DIR:FIRST. Raises LSNetError for folders without images, one that cannot be made or
-    one with too few drawn images.
+    Raises:
+        LSNetError: A background folder (DIR or DIR:FIRST) has no images, or the set's folder cannot be
+            created or has too few images.
     """
     make_folder(folder)
     if (folder / LINES_FILE).exists():
-        there = len(np.load(folder / IMAGES_FILE, mmap_mode="r"))
-        if there < count:
-            raise LSNetError(f"{folder}: holds {there} drawn images, not {count}; give another --run folder")
+        existing = len(np.load(folder / IMAGES_FILE, mmap_mode="r"))
+        if existing < count:
+            raise LSNetError(
+                f"{folder}: holds {existing} synthetic images, not {count}; give another run folder"
+            )
         return
     scenes = SyntheticScenes(
         BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds]), DRAWN_PX, seed
@@ -67,8 +71,8 @@ def draw_set(
     _save_lines(folder / LINES_FILE, lines)
 
 
-def _save_lines(path: Path, lines: list[list[NDArray[np.float64]]]) -> None:
-    """Points of all lines one after the other, and of each line its image and number of points."""
+def _save_lines(path: Path, lines: list[list[Floats]]) -> None:
+    """Save the points of all lines in one array, with the image and the number of points of each line."""
     flat = [(i, line) for i, of_image in enumerate(lines) for line in of_image]
     partial = path.with_name(f"partial-{path.name}")
     np.savez(
@@ -82,10 +86,10 @@ def _save_lines(path: Path, lines: list[list[NDArray[np.float64]]]) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crops:
-    """Random square crops, mirrored, of the images of a set from `first` to `last`."""
+    """Random square crops, some mirrored, of images `first` to `last` of a set."""
 
-    images: NDArray[np.uint8]
-    lines: list[list[NDArray[np.float64]]]
+    images: ImageArray
+    lines: list[list[Floats]]
     first: int
     last: int
     size: int
@@ -93,12 +97,12 @@ class Crops:
 
     @classmethod
     def of(cls, folder: Path, first: int, last: int, *, size: int, seed: int) -> Crops:
-        """Crops of a folder that `draw_set` has filled."""
+        """Open the crops of a folder filled by `draw_set`."""
         images = np.load(folder / IMAGES_FILE, mmap_mode="r")
         with np.load(folder / LINES_FILE) as kept:
             points = np.split(kept["points"], np.cumsum(kept["counts"])[:-1])
             owners = kept["image"]
-        lines: list[list[NDArray[np.float64]]] = [[] for _ in images]
+        lines: list[list[Floats]] = [[] for _ in images]
         for owner, line in zip(owners, points, strict=False):  # one empty piece where there are no lines
             lines[owner].append(line)
         return cls(images, lines, first, last, size, seed)

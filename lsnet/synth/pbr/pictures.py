@@ -72,7 +72,7 @@ def _check_same(truth: Path, expected: dict[str, object]) -> None:
     try:
         content = json.loads(truth.read_text())
         is_same = all(content[key] == value for key, value in expected.items())
-    except (OSError, ValueError, LookupError, TypeError) as err:
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as err:
         raise LSNetError(f"{truth}: not of a rendered picture ({err}); remove it and its PNG") from err
     if not is_same:
-        raise LSNetError(f"{truth}: of another --size or --seed; give another folder")
+        raise LSNetError(f"{truth}: of another size or seed; give another folder")

@@ -70,7 +70,7 @@ def _load(truth: Path) -> Labelled:
     """(H, W, 4) colours multiplied by alpha, so that moving them mixes rightly; and the lines."""
     try:
         lines = [np.array(line, float) for line in json.loads(truth.read_text())["lines"]]
-    except (OSError, ValueError, LookupError, TypeError) as err:
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as err:
         raise LSNetError(f"{truth}: not of a rendered picture ({err}); remove it and its PNG") from err
     pixels = cv2.imread(str(truth.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.ndim != 3 or pixels.shape[2] != 4:

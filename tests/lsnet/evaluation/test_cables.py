@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from lsnet.evaluation.cables import CableReport, cables_found, evaluate_cables
+from lsnet.evaluation.cables import CableReport, cable_coverage, evaluate_cables
 from lsnet.segments import Detections, Lines, Segments
 from lsnet.synth.dataset import Sample
 
@@ -92,7 +92,7 @@ def test_the_tolerance_is_three_pixels(row: int, covered: int) -> None:
     said = np.zeros((SIZE, SIZE), bool)
     said[row] = True
     cable = np.stack([np.arange(100) + 0.5, np.full(100, 40.5)], 1)
-    (found,) = cables_found(said, [cable])
+    (found,) = cable_coverage(said, [cable])
     assert (found.length_px, found.covered_px, found.gaps) == (100, covered, 0)
 
 

@@ -104,7 +104,7 @@ def test_images_without_truth_are_told_by_the_share_reported(tmp_path: Path) -> 
 
 def test_a_truth_of_another_size_is_one_line(tmp_path: Path) -> None:
     cv2.imwrite(str(write_set(tmp_path) / "masks/a.png"), np.zeros((30, 40), np.uint8))
-    with pytest.raises(LSNetError, match=r"a\.png: not of the size of its image"):
+    with pytest.raises(LSNetError, match=r"a\.png: not the size of its image"):
         pixel_reports(tmp_path, lambda _image: [])
 
 

@@ -76,7 +76,7 @@ def test_squares_are_written_under_the_name_of_their_photograph(tmp_path: Path) 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(LSNetError, match="cannot be made a folder"):
+    with pytest.raises(LSNetError, match="cannot be created as a folder"):
         list(mining.mine(cast("Detector", Told([])), [], tmp_path / "file"))
 
 

@@ -79,6 +79,7 @@ def test_coco_lines_and_segmentations(tmp_path: Path) -> None:
         "not json",
         "[]",
         "{}",
+        '{"shapes": ' + "[" * 100_000,
         '{"shapes": 3}',
         '{"shapes": [[]]}',
         '{"shapes": [{"shape_type": "line"}]}',

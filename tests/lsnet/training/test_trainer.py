@@ -154,7 +154,7 @@ def test_the_average_is_kept_and_not_the_last_weights(tmp_path: Path) -> None:
 )
 def test_another_recipe_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     Trainer(QUICK, tmp_path).run(Strokes(), Strokes(), quiet)
-    with pytest.raises(LSNetError, match=f"other {next(iter(change))}.*; give another --run folder"):
+    with pytest.raises(LSNetError, match=f"other {next(iter(change))}.*; give another run folder"):
         Trainer(replace(QUICK, **change), tmp_path)
     Trainer(replace(QUICK, threads=2), tmp_path)  # how it is computed may change
 
@@ -165,7 +165,7 @@ def test_a_run_outlives_a_change_of_its_preset(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setitem(model.PRESETS, QUICK.preset, replace(TINY, head_channels=16))
     export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
     assert load_weights(tmp_path / "x.safetensors").card.network == TINY
-    with pytest.raises(LSNetError, match="other network; give another --run folder"):
+    with pytest.raises(LSNetError, match="other network; give another run folder"):
         Trainer(QUICK, tmp_path / "run")
 
 
@@ -198,7 +198,7 @@ def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "a/last.pt").write_bytes(b"PK")
     with pytest.raises(LSNetError, match=r"last\.pt: missing or damaged"):
         Trainer(QUICK, tmp_path / "a")
-    with pytest.raises(LSNetError, match="cannot be made a folder"):
+    with pytest.raises(LSNetError, match="cannot be created as a folder"):
         Trainer(QUICK, tmp_path / "file")
 
 
@@ -229,7 +229,7 @@ def test_a_checkpoint_that_cannot_be_written_is_one_line(tmp_path: Path) -> None
 
 def test_a_run_that_loses_itself_is_one_line(tmp_path: Path) -> None:
     trainer = Trainer(replace(QUICK, learning_rate=1e30), tmp_path)
-    with pytest.raises(LSNetError, match="the loss grew beyond all bounds; lower --learning-rate"):
+    with pytest.raises(LSNetError, match="the loss grew beyond all bounds; lower the learning rate"):
         trainer.run(Strokes(), Strokes(), quiet)
     assert not (tmp_path / "best.pt").exists()
 
@@ -292,11 +292,11 @@ def test_training_and_validation_never_share_a_drawn_image() -> None:
 def test_data_that_cannot_be_trained_on_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LSNetError, match="multiple of 16"):
         open_sources(TrainingData((), None, None, (), size=100, seed=0))
-    with pytest.raises(LSNetError, match="--validation"):
+    with pytest.raises(LSNetError, match="other ones for validation"):
         open_sources(TrainingData((), tmp_path, None, (), size=64, seed=0))
-    with pytest.raises(LSNetError, match="give these with --data"):
+    with pytest.raises(LSNetError, match="give some as data"):
         open_sources(TrainingData((), None, tmp_path, (), size=64, seed=0))
-    with pytest.raises(LSNetError, match="leave out --background and --rendered"):
+    with pytest.raises(LSNetError, match="leave out backgrounds and rendered"):
         open_sources(TrainingData(("photos",), tmp_path, tmp_path, (), size=64, seed=0))
     with pytest.raises(LSNetError, match="not a folder"):
         open_sources(TrainingData((f"{tmp_path}/none:5",), None, None, (), size=64, seed=0))

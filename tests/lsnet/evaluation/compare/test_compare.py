@@ -17,7 +17,7 @@ from nets import TINY
 from lsnet import LSNetError
 from lsnet.evaluation.compare import data as compare_data
 from lsnet.evaluation.compare.chart import ChartPoint, draw_chart, pareto_front
-from lsnet.evaluation.compare.compare import CANDIDATES, Comparison, Variant, compare_all, results_of
+from lsnet.evaluation.compare.compare import VARIANTS, Comparison, Variant, compare_all, results_of
 from lsnet.evaluation.compare.data import Crops, draw_set
 from lsnet.evaluation.compare.table import table
 from lsnet.synth.backgrounds import BackgroundPool
@@ -47,7 +47,7 @@ def test_a_set_holds_the_drawn_images_and_their_lines(tmp_path: Path) -> None:
     kept = (tmp_path / "images.npy").stat().st_mtime_ns
     draw_set(tmp_path, (), 6, seed=3, workers=0)
     assert (tmp_path / "images.npy").stat().st_mtime_ns == kept
-    with pytest.raises(LSNetError, match="holds 6 drawn images, not 7; give another --run folder"):
+    with pytest.raises(LSNetError, match="holds 6 synthetic images, not 7; give another run folder"):
         draw_set(tmp_path, (), 7, seed=3, workers=0)
 
 
@@ -96,7 +96,7 @@ def test_what_has_a_result_is_not_run_again(tmp_path: Path, monkeypatch: pytest.
 
 def test_candidates_are_told_apart_by_name_and_one_name_is_one_thing() -> None:
     by_name: dict[str, Variant] = {}
-    for candidates in CANDIDATES.values():
+    for candidates in VARIANTS.values():
         assert len({c.name for c in candidates}) == len(candidates)
         for candidate in candidates:
             assert by_name.setdefault(candidate.name, candidate) == candidate

@@ -94,7 +94,7 @@ def test_pictures_are_made_once_and_the_same(tmp_path: Path, workers: int) -> No
     (tmp_path / "a/000001.json").unlink()
     render_many(tmp_path / "a", 2, lights=None, size=64, seed=5, workers=1)
     assert (tmp_path / "a/000001.png").read_bytes() == first
-    with pytest.raises(LSNetError, match=r"000000\.json: of another --size or --seed"):
+    with pytest.raises(LSNetError, match=r"000000\.json: of another size or seed"):
         render_many(tmp_path / "a", 1, lights=None, size=64, seed=6, workers=1)
 
 

@@ -1,4 +1,4 @@
-"""Annotations written back: appended to a copy of the recording, or to a file of their own beside it.
+"""Write annotations back: to a copy of the recording, or to a sidecar file of their own.
 
     with annotated_copy(recording, target) as out:
         channel_id = out.add_channel(topic, schema_name=..., message_encoding=..., ...)
@@ -76,7 +76,7 @@ def _prefix_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
 
 @contextmanager
 def _joined_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
-    """Write all parts as one file, and annotations in place of its end."""
+    """Merge all parts into one file, and write annotations in place of its summary."""
     _, losses = join_parts(source, target)
     (joined,) = open_parts(target)
     end = joined.layout.data_end
@@ -116,7 +116,7 @@ def unchanged(source: Recording) -> Iterator[None]:
 
 
 class AnnotationWriter:
-    """Appends channels, messages and metadata behind the `position` bytes that `file` already has.
+    """Appends channels, messages and metadata to a file that has `position` bytes so far.
 
     `data_crc` is the CRC-32 of those bytes, or 0 when it is not known. `losses` has a phrase for each stretch
     of the source that could not be copied.
@@ -179,7 +179,10 @@ class AnnotationWriter:
         self._append(record)
 
     def index_cut_chunk(self, part: Part) -> None:
-        """Append the message indexes that a cut took from the last chunk: players refuse a file with gaps."""
+        """Append the message indexes that are missing after the last chunk of a truncated file.
+
+        Players refuse a file in which only some chunks have indexes.
+        """
         last = part.layout.extents[-1:]
         chunk = last[0].chunk if last and part.layout.losses else None
         if chunk is None or chunk.message_index_offsets or last[0].offset + last[0].length != self._position:
@@ -193,7 +196,7 @@ class AnnotationWriter:
             self._append(encoded)
 
     def finish(self) -> None:
-        """Write what is left, the summary and the footer."""
+        """Write the last chunk, the summary and the footer."""
         self._flush_chunk()
         self._file.write(encode_end(self._contents, self._position, self._data_crc))
 
@@ -208,7 +211,7 @@ class AnnotationWriter:
         return self._schema_ids[key]
 
     def _free_id(self, used: AbstractSet[int]) -> int:
-        """The id above all used ones, or where there is none above, the lowest free one."""
+        """Return the id above all used ones, or the lowest free one when there is none above."""
         free = max(used, default=0) + 1
         if free > _MAX_ID:
             free = next((i for i in range(1, _MAX_ID) if i not in used), 0)
@@ -256,7 +259,7 @@ def _removed_on_error(target: Path) -> Iterator[None]:
 
 @contextmanager
 def _copying(source: BinaryIO, target: BinaryIO, length: int) -> Iterator[None]:
-    """Copy the first `length` bytes of a file meanwhile; done on a clean exit, stopped by an exception."""
+    """Copy the first `length` bytes in a thread: complete on a clean exit, stopped by an exception."""
     stop = Event()
     with ThreadPoolExecutor(1) as pool:
         copy = pool.submit(_copy_prefix, source.fileno(), target.fileno(), length, stop)
@@ -269,7 +272,7 @@ def _copying(source: BinaryIO, target: BinaryIO, length: int) -> Iterator[None]:
 
 
 def _copy_prefix(source: int, target: int, length: int, stop: Event) -> None:
-    """Copy between descriptors, inside the kernel and sharing blocks where the file system can."""
+    """Copy between descriptors, inside the kernel where the file system supports it."""
     copy: Callable[[int, int, int, int, int], int] = os.copy_file_range
     offset = 0
     while offset < length and not stop.is_set():
@@ -287,5 +290,5 @@ def _copy_prefix(source: int, target: int, length: int, stop: Event) -> None:
 
 
 def _copy_bytes(source: int, target: int, count: int, source_offset: int, target_offset: int) -> int:
-    """The part of os.copy_file_range that is needed, for file systems without it."""
+    """Copy like os.copy_file_range, for file systems without it."""
     return os.pwrite(target, os.pread(source, min(count, 1 << 20), source_offset), target_offset)

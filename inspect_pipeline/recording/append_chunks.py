@@ -1,4 +1,4 @@
-"""Chunk records and the Message Index records behind them."""
+"""Chunk records, and the Message Index records that follow each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COMPRESSION = b"zstd"
 
 
 class ChunkBuilder:
-    """The records of one chunk in the making, and where its messages are among them."""
+    """Collects the records of a chunk, and the offsets of its messages."""
 
     def __init__(self) -> None:
         self.records = bytearray()
@@ -35,7 +35,7 @@ class ChunkBuilder:
         self._start_ns = self._end_ns = 0
 
     def is_full_at(self, log_time_ns: int) -> bool:
-        """Whether a message of this time belongs into the next chunk."""
+        """Whether a message of this time belongs in the next chunk."""
         if not self._index:
             return False
         span_ns = max(self._end_ns, log_time_ns) - min(self._start_ns, log_time_ns)
@@ -56,7 +56,7 @@ class ChunkBuilder:
         self.records += data
 
     def encode(self, compressor: zstandard.ZstdCompressor, offset: int) -> tuple[bytes, ChunkIndex]:
-        """The Chunk record with its Message Index records, to stand at `offset`, and its Chunk Index."""
+        """Encode a Chunk record for `offset` with its Message Index records; also return its Chunk Index."""
         data = compressor.compress(self.records)
         head = _CHUNK.pack(
             Opcode.CHUNK,
@@ -86,7 +86,7 @@ class ChunkBuilder:
 
 
 def message_index(records: bytes) -> dict[int, list[int]]:
-    """By channel id: log time, offset, log time, offset, ... of the messages in a chunk. Raises Damage."""
+    """Return log time, offset, log time, offset, ... of the messages by channel id. Raises Damage."""
     index: dict[int, list[int]] = {}
     for opcode, start, end in iter_records(records):
         if opcode == Opcode.MESSAGE:
@@ -98,7 +98,7 @@ def message_index(records: bytes) -> dict[int, list[int]]:
 
 
 def encode_message_indexes(index: Mapping[int, Sequence[int]], offset: int) -> tuple[bytes, dict[int, int]]:
-    """The Message Index records of a `message_index`, to stand at `offset`, and by channel where each is."""
+    """Encode the Message Index records of a `message_index` for `offset`; also return their offsets."""
     encoded = bytearray()
     offsets = {}
     for channel_id, entries in index.items():

@@ -1,4 +1,4 @@
-"""The summary section of a written file: what it says of the source's records and of those added."""
+"""The summary section of a written file, which covers the records of the source and those added."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _FOOTER_CRC_BYTES = 4
 
 @dataclass(slots=True, eq=False)
 class Contents:
-    """What a file holds: the records its summary repeats or points to.
+    """The records that the summary of a file repeats or points to.
 
     has_loose_messages: messages outside chunks, which no index can point to.
     used_channel_ids: those of the channels, and those that messages have without their channel being known.
@@ -75,7 +75,7 @@ class Contents:
         )
 
     def add_chunk(self, chunk: ChunkIndex) -> None:
-        """Add a chunk and its time range. Its messages are counted by whoever writes them."""
+        """Add a chunk and its time range; the caller counts its messages."""
         self.chunks.append(chunk)
         if chunk.message_index_offsets:
             start_ns, end_ns = chunk.message_start_time, chunk.message_end_time
@@ -84,12 +84,12 @@ class Contents:
 
     @property
     def is_indexed(self) -> bool:
-        """Whether an index finds every message. Else readers would overlook the rest, or refuse the file."""
+        """Whether indexes cover every message: readers would miss the others, or refuse the file."""
         gaps = (c for c in self.chunks if c.message_end_time and not c.message_index_offsets)
         return not self.has_loose_messages and next(gaps, None) is None
 
     def statistics(self) -> Statistics:
-        """The Statistics record."""
+        """Return the Statistics record."""
         return Statistics(
             message_count=self.message_counts.total(),
             schema_count=len(self.schemas),
@@ -104,7 +104,7 @@ class Contents:
 
 
 def encode_records(records: Iterable[McapRecord]) -> bytes:
-    """Records as they stand in a file, one after another."""
+    """Encode records one after another."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -113,7 +113,7 @@ def encode_records(records: Iterable[McapRecord]) -> bytes:
 
 
 def encode_end(contents: Contents, position: int, data_crc: int) -> bytes:
-    """Everything from the Data End record, which is to stand at `position`, to the closing magic."""
+    """Encode everything from the Data End record, at `position`, to the closing magic."""
     data_end = encode_records([DataEnd(data_crc)])
     summary_start = position + len(data_end)
     groups: list[tuple[Opcode, Iterable[McapRecord]]] = [

@@ -1,4 +1,4 @@
-"""Which channels of a recording are colour cameras, each camera once."""
+"""Select the channels of a recording that are colour cameras, each camera once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording.part import Part
     from inspect_pipeline.recording.types import ChannelSummary
 
-# Last parts of a topic that name the form of its images, not the camera.
+# Last parts of a topic that name the encoding of its images, not the camera.
 _FORMS = frozenset({"compressed", "raw", "image", "image_raw", "image_color", "image_compressed"})
 _MAX_SAMPLES = 16  # first messages of a channel that are parsed to see what it holds
 
@@ -71,7 +71,7 @@ def is_image(channel: ChannelSummary) -> bool:
 
 
 def to_camera(channel: ChannelSummary) -> CameraChannel:
-    """A channel of images as a camera."""
+    """Return a channel of images as a camera."""
     return CameraChannel(
         channel_id=channel.channel_id,
         topic=channel.topic,
@@ -83,7 +83,7 @@ def to_camera(channel: ChannelSummary) -> CameraChannel:
 
 
 def _camera_name(topic: str) -> str:
-    """The topic without the parts at its end that only say how images are packed."""
+    """Return the topic without trailing parts that only name the encoding of its images."""
     parts = topic.split("/")
     while len(parts) > 1 and parts[-1] in _FORMS:
         parts.pop()

@@ -1,4 +1,4 @@
-"""Stretches of an MCAP file that hold messages, and the records in them.
+"""Extents of an MCAP file, which hold messages, and the records in them.
 
 An `Extent` is a Chunk record, or a run of records that lie outside chunks. Read and decompressed, both
 are the same thing, a sequence of records, so everything above this module treats them alike.
@@ -118,7 +118,7 @@ class RecordingFile:
 class Extent:
     """Where messages lie: a Chunk record (`chunk` set), or a run of records outside chunks.
 
-    `counts` has the messages per channel id where a scan or Message Index records told them.
+    `counts` has the messages per channel id where a scan or Message Index records give them.
     Times are the first and last log time of its messages.
     """
 
@@ -131,7 +131,7 @@ class Extent:
 
     @property
     def channel_ids(self) -> frozenset[int] | None:
-        """The channels with messages here; None when only reading can tell."""
+        """The channels with messages here; None when that is only known after reading."""
         if self.counts is not None:
             return frozenset(i for i, count in self.counts.items() if count)
         if self.chunk is not None and self.chunk.message_index_offsets:
@@ -152,7 +152,7 @@ class ChunkHead(NamedTuple):
 
 
 def read_chunk_head(file: RecordingFile, offset: int, length: int) -> ChunkHead:
-    """The head of the Chunk record at `offset` with a body of `length` bytes. Raises Damage."""
+    """Read the head of the Chunk record at `offset` with a body of `length` bytes. Raises Damage."""
     size = min(length, _CHUNK_HEAD.size + _MAX_COMPRESSION_NAME_BYTES + 8)
     body = file.read(offset + RECORD_HEAD.size, size)
     try:
@@ -169,7 +169,7 @@ def read_chunk_head(file: RecordingFile, offset: int, length: int) -> ChunkHead:
 
 
 def read_extent(file: RecordingFile, extent: Extent) -> bytes:
-    """The records of an extent, decompressed and checked against the chunk's CRC. Raises Damage."""
+    """Read the records of an extent, decompressed and checked against the chunk's CRC. Raises Damage."""
     if extent.chunk is None:
         if extent.length > MAX_CHUNK_BYTES:
             raise Damage(f"a message claims more than {MAX_CHUNK_BYTES >> 20} MiB")
@@ -189,9 +189,9 @@ def read_extent(file: RecordingFile, extent: Extent) -> bytes:
 
 
 def _check_number_of_records(records: bytes, n_compressed: int) -> None:
-    """Raise Damage for a chunk that makes a million messages of nothing: each takes time and rows.
+    """Raise Damage for a chunk that expands to a million messages, each of which takes time and rows.
 
-    Records differ in their times at least, so each takes some bytes even when compressed.
+    Records differ at least in their times, so each takes some bytes even when compressed.
     """
     n_most = _MAX_TINY_RECORDS + n_compressed // _MIN_COMPRESSED_BYTES
     if len(records) > n_most * RECORD_HEAD.size:
@@ -240,7 +240,7 @@ def _from_lz4(data: bytes, size_bytes: int) -> bytes:
 
 
 def iter_records(records: bytes) -> Iterator[tuple[int, int, int]]:
-    """(opcode, start of the body, end of the body) of each record. Raises Damage when one overruns."""
+    """Iterate over (opcode, start of the body, end of the body) of the records. Raises Damage."""
     at, end = 0, len(records)
     while at < end:
         if end - at < RECORD_HEAD.size:

@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 _MAX_WAITING_BYTES = 64 << 20  # of messages behind a picture that does not come out of its video
 _MAX_FIRST_IMAGES = 64  # of a camera, in which the range of its values is looked for
-_NEVER_NS = 1 << 64  # beyond every log time
+_NEVER_NS = 1 << 64  # after every log time
 _MAX_TIME_NS = (1 << 63) - 1  # the year 2262; later ones are damage, and databases do not hold them
 
 
 class RecordingIterator(Iterator[_T], Generic[_T]):
-    """What is read from a recording.
+    """Iterates over frames or messages of a recording.
 
     losses: one phrase for each stretch that could not be read so far.
-    warnings: what is odd about what was read so far but prevents nothing, one phrase each.
+    warnings: what is unusual about the times of the frames so far, one phrase each.
     """
 
     def __init__(self, items: Iterator[_T], losses: Losses, checks: FrameChecks | None = None) -> None:
@@ -171,7 +171,7 @@ def _count_before(extents: Iterable[PartExtent], start_ns: int, losses: Losses) 
 
 
 class _Waiting:
-    """A frame whose picture is decoded when its turn comes; one of a video may come out of it later."""
+    """A frame whose picture is decoded when its turn comes; a video may give it later."""
 
     def __init__(
         self,
@@ -235,7 +235,7 @@ class _Waiting:
 
 
 class _Queue:
-    """Frames in their order, those of videos held until their pictures have come out; bounded in bytes."""
+    """Frames in order; those of videos wait for their pictures. Bounded in bytes."""
 
     def __init__(self) -> None:
         self._frames: deque[_Waiting] = deque()
@@ -257,7 +257,7 @@ class _Queue:
 
 
 class FrameChecks:
-    """Counts what is odd about the times of frames, per topic.
+    """Counts unusual times of frames, per topic.
 
     Viewers cannot match annotations to images by header stamps that are zero, repeated or out of order.
     """

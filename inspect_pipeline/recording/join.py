@@ -1,7 +1,7 @@
-"""One file made of the parts of a recording.
+"""Merge the parts of a recording into one file.
 
-The number of a channel may differ between parts, so messages are written anew, in log-time order; what is in
-them does not change.
+Channel ids may differ between parts, so messages are written again, in log-time order; their content does not
+change.
 """
 
 from __future__ import annotations

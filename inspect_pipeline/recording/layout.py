@@ -1,4 +1,8 @@
-"""One pass over the records of an MCAP file, which reads only their heads."""
+"""The layout of an MCAP file, found by one pass over its records that reads only their heads.
+
+A chunk that the summary knows is skipped together with its message indexes, so an indexed file costs one
+small read per chunk; a file without summary, chunk index or chunks is scanned record by record.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +60,7 @@ class Layout:
 
     data_end: offset where the data section ends: that of the Data End record, or of the first record
     that cannot be read. data_crc: the data_section_crc the file states, 0 when it states none.
-    end: offset behind the closing magic; the size of the file when there is none.
+    end: offset after the closing magic; the size of the file when there is none.
     has_early_end: whether messages follow a Data End record.
     losses: one phrase for each part that cannot be read.
     """
@@ -80,7 +84,7 @@ class WrongIndexError(Exception):
 
 
 def scan(file: RecordingFile, summary: Summary) -> Layout:
-    """Go from record to record to the end of the data section, stepping over the chunks of the summary.
+    """Scan the records of the data section, skipping the chunks that the summary knows.
 
     Raises WrongIndexError when those chunks are not what is found, Damage when there is no readable header.
     """
@@ -102,14 +106,14 @@ def scan(file: RecordingFile, summary: Summary) -> Layout:
 
 
 def _scan_data(file: RecordingFile, layout: Layout, known: Mapping[int, ChunkIndex]) -> None:
-    """Note the records up to the next Data End, where `layout.data_end` points then. Raises Damage."""
+    """Add the records up to the next Data End, whose offset `layout.data_end` is then. Raises Damage."""
     while (head := file.record_head(layout.data_end))[0] != Opcode.DATA_END:
         layout.data_end += _step(file, layout, *head, known.get(layout.data_end))
     layout.data_crc = load_record(file, DataEnd, layout.data_end).data_section_crc
 
 
 def _skip_early_end(file: RecordingFile, layout: Layout) -> bool:
-    """Move `layout.data_end` to the first message behind a Data End record, if there is one.
+    """Move `layout.data_end` to the first message after a Data End record, if there is one.
 
     Otherwise `layout.end` is set to the end of the summary and footer that follow.
     """
@@ -130,7 +134,7 @@ def _skip_early_end(file: RecordingFile, layout: Layout) -> bool:
 
 
 def _step(file: RecordingFile, layout: Layout, opcode: int, length: int, chunk: ChunkIndex | None) -> int:
-    """Note the record at `layout.data_end`; the number of bytes to the next. Raises Damage."""
+    """Add the record at `layout.data_end`; return the number of bytes to the next. Raises Damage."""
     offset = layout.data_end
     size = RECORD_HEAD.size + length
     if chunk is not None:
@@ -146,7 +150,7 @@ def _step(file: RecordingFile, layout: Layout, opcode: int, length: int, chunk: 
 
 
 def _lost_tail(file: RecordingFile, damage: Damage, layout: Layout) -> str:
-    """Say what is lost from the record on that cannot be read; another recording may begin there."""
+    """Say what is lost from the first unreadable record on; another recording may begin there."""
     n_left = file.size_bytes - layout.data_end
     if n_left >= len(MAGIC) and file.read(layout.data_end, len(MAGIC)) == MAGIC:
         layout.end, n_left = layout.data_end, 0
@@ -156,7 +160,7 @@ def _lost_tail(file: RecordingFile, damage: Damage, layout: Layout) -> str:
 
 
 def _forget_cut_indexes(layout: Layout) -> None:
-    """Of the chunk at a cut some indexes may be missing, and with them channels: none of them can be used."""
+    """Drop the message indexes after the last chunk of a truncated file, some of which may be missing."""
     extent = layout.extents[-1] if layout.extents else None
     if extent is None or extent.chunk is None:
         return
@@ -173,12 +177,12 @@ def _chunk_extent(chunk: ChunkIndex) -> Extent:
 
 
 def _note_definition(file: RecordingFile, layout: Layout, offset: int, length: int) -> None:
-    """Take a Schema or a Channel record."""
+    """Add a Schema or a Channel record."""
     read_definitions(load_body(file, offset, RECORD_HEAD.size + length), layout.schemas, layout.channels)
 
 
 def _note_message(file: RecordingFile, layout: Layout, offset: int, length: int) -> None:
-    """Lengthen the run of messages that ends here, or begin one."""
+    """Add a message to the run of messages that ends here, or begin one."""
     if length < MESSAGE_HEAD.size:
         raise Damage("a message is shorter than its head")
     channel_id, _, log_time_ns, _ = MESSAGE_HEAD.unpack(
@@ -213,7 +217,7 @@ def _note_chunk(file: RecordingFile, layout: Layout, offset: int, length: int) -
 
 
 def _note_message_index(file: RecordingFile, layout: Layout, offset: int, length: int) -> None:
-    """Add a Message Index record to the chunk that it follows; elsewhere it means nothing."""
+    """Add a Message Index record to the chunk that it follows; ignore others."""
     extent = layout.extents[-1] if layout.extents else None
     if extent is None or extent.chunk is None or length < INDEX_HEAD.size:
         return
@@ -260,7 +264,7 @@ _NOTED: dict[int, Callable[[RecordingFile, Layout, int, int], None]] = {
 def read_definitions(
     records: bytes, schemas: dict[int, Schema], channels: dict[int, Channel]
 ) -> Counter[int]:
-    """Add the schemas and channels of a chunk's records that are not known yet; count messages by channel."""
+    """Add new schemas and channels from a chunk's records; return the number of messages by channel."""
     counts = Counter[int]()
     for opcode, start, end in iter_records(records):
         if opcode == Opcode.MESSAGE:

@@ -94,7 +94,7 @@ class _Merge:
     def open(self, extent: PartExtent) -> None:
         """Add the messages of an extent. Raises Damage."""
         entries = sorted(extent.entries(self._cache.records(extent), self._channel_ids))
-        # Where every chunk overlaps every other all are open at once: 16 bytes a message.
+        # All extents are open at once where all overlap, so a message takes only 16 bytes.
         columns = (
             array(code, column) for code, column in zip("QII", zip(*entries, strict=True), strict=False)
         )

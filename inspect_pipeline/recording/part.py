@@ -1,7 +1,7 @@
 """The MCAP files that a recording consists of.
 
-Mostly there is one. A split recording has several, and so has a file that was made by writing one recording
-behind another (`cat a.mcap b.mcap`): there each part is a range of bytes of the file.
+Mostly there is one. A split recording has several, and so has a file that was made by appending one recording
+to another (`cat a.mcap b.mcap`): then each part is a range of bytes of the file.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def read_layout(file: RecordingFile) -> Layout:
 
 
 def _define_channels(file: RecordingFile, layout: Layout) -> None:
-    """Read the chunks that hold channels or schemas which neither the summary nor loose records define."""
+    """Read the chunks with channels or schemas that neither the summary nor records outside chunks define."""
     for extent in layout.extents:
         if extent.chunk is None or _is_defined(extent, layout):
             continue
@@ -114,7 +114,7 @@ def _define_channels(file: RecordingFile, layout: Layout) -> None:
 
 
 def _is_defined(extent: Extent, layout: Layout) -> bool:
-    """Whether every channel of an extent is known, and the statistics count no more than are known."""
+    """Whether all channels of an extent are known, and no others by the statistics."""
     ids = extent.channel_ids
     statistics = layout.statistics
     if ids is None or not ids <= layout.channels.keys():
@@ -149,7 +149,7 @@ def _read_metadata(file: RecordingFile, layout: Layout) -> dict[str, dict[str, s
 
 
 def count_messages(file: RecordingFile, extent: Extent) -> Counter[int]:
-    """Messages per channel id of an extent, by its message indexes where it has them. Raises Damage."""
+    """Count the messages of an extent per channel id, by its message indexes if it has any. Raises Damage."""
     if extent.counts is not None:
         return Counter(extent.counts)
     if extent.chunk is None or not extent.chunk.message_index_offsets:

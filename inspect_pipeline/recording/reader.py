@@ -90,7 +90,7 @@ class Recording:
 
     @property
     def warnings(self) -> list[str]:
-        """What is odd about the log times but prevents nothing, one phrase each."""
+        """What is unusual about the log times, one phrase each."""
         found = [
             f"its log times look like {unit} instead of nanoseconds"
             for unit, factor in _WRONG_UNITS.items()
@@ -102,7 +102,7 @@ class Recording:
         for part in self.parts:
             starts = [e.start_ns for e in part.layout.extents if e.channel_ids is None or e.channel_ids]
             if n_early := sum(after < before for before, after in pairwise(starts)):
-                text = f"its messages are out of order: {n_early:,} stretches begin before the one ahead"
+                text = f"its messages are out of order in {n_early:,} {'place' if n_early == 1 else 'places'}"
                 found.append(_name_part(self.parts, part, text))
         return found
 
@@ -270,7 +270,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def join_phrases(phrases: Sequence[str], separator: str = "; ") -> str:
-    """Join the first few phrases, and say how many there are beside."""
+    """Join the first few phrases, and say how many more there are."""
     shown = separator.join(phrases[:_MAX_PHRASES])
     n_more = len(phrases) - _MAX_PHRASES
     return f"{shown}{separator}and {n_more:,} more" if n_more > 0 else shown

@@ -1,4 +1,4 @@
-"""New recordings as ROS 2 drivers make them: sensor_msgs and geometry_msgs in CDR."""
+"""Write new recordings like those of ROS 2 drivers: sensor_msgs and geometry_msgs in CDR."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _IMAGE, _CAMERA_INFO, _FIX, _POSE = (
 
 
 def _schema(name: str, definition: str) -> MessageSchema:
-    """A definition followed by those of the parts it has, as ros2msg wants it."""
+    """Return a definition followed by those of its parts, which is the form of ros2msg."""
     text, added = definition, set[str]()
     while missing := [part for part in _PARTS if part not in added and f"{part} " in text]:
         for part in missing:

@@ -55,7 +55,7 @@ class Summary:
 
 
 def parse_record(kind: type[_R], body: bytes) -> _R:
-    """A record of `kind` from its body. Raises Damage."""
+    """Parse the body of a record of `kind`. Raises Damage."""
     try:
         record: _R = kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
     except (McapError, struct.error, ValueError) as error:
@@ -64,20 +64,20 @@ def parse_record(kind: type[_R], body: bytes) -> _R:
 
 
 def load_record(file: RecordingFile, kind: type[_R], offset: int) -> _R:
-    """The record of `kind` at `offset`. Raises Damage."""
+    """Read the record of `kind` at `offset`. Raises Damage."""
     _, length = file.record_head(offset)
     return parse_record(kind, load_body(file, offset + RECORD_HEAD.size, length))
 
 
 def load_body(file: RecordingFile, offset: int, length: int) -> bytes:
-    """The bytes of a record that is read whole. Raises Damage."""
+    """Read the body of a record. Raises Damage."""
     if length > _MAX_LOADED_BYTES:
         raise Damage(f"a record claims more than {_MAX_LOADED_BYTES >> 20} MiB")
     return file.read(offset, length)
 
 
 def read_summary(file: RecordingFile) -> Summary:
-    """The summary section; empty when there is none, empty with `loss` set when it cannot be read."""
+    """Read the summary section: empty when there is none, or with `loss` set when it is damaged."""
     try:
         start, section = _summary_section(file)
         return _parse_summary(start, section)
@@ -113,7 +113,7 @@ def _parse_summary(offset: int, section: bytes) -> Summary:
         elif isinstance(record, ChunkIndex):
             summary.chunks[record.chunk_start_offset] = record
         elif isinstance(record, Statistics):
-            # Some writers leave the counts of channels out, which says that they are not known.
+            # Some writers leave the counts of channels out.
             n_messages = sum(record.channel_message_counts.values())
             is_known = n_messages == record.message_count <= _MAX_MESSAGES
             summary.statistics = record if is_known else None

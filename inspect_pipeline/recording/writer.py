@@ -1,4 +1,4 @@
-"""New recordings of camera images and positions: Foxglove schemas in protobuf, zstd chunks."""
+"""Write new recordings of camera images and poses: Foxglove schemas in protobuf, zstd chunks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class MessageSchema(NamedTuple):
-    """The name, encoding and text of a schema, and how messages of it are encoded."""
+    """The name, encoding and definition of a schema, and the encoding of its messages."""
 
     name: str
     encoding: str
@@ -42,14 +42,14 @@ class MessageSchema(NamedTuple):
 
 @contextmanager
 def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
-    """Write a recording to `target`, which must not exist. It appears whole, on a clean exit.
+    """Write a recording to `target`, which must not exist; it appears on a clean exit, complete.
 
     `profile` is that of its header, such as "ros2". Raises OSError when the target cannot be written.
     """
     if target.exists():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
     with appearing(target) as path, path.open("wb") as file:
-        # Without summary offsets: the package writes empty groups, which checkers take for errors.
+        # Without summary offsets: the package writes empty groups, which `mcap doctor` reports as errors.
         writer = Writer(file, compression=CompressionType.ZSTD, use_summary_offsets=False)
         writer.start(profile=profile, library=f"lsnet-pipe {app_version()}")
         yield RecordingAuthor(writer)
@@ -57,7 +57,7 @@ def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
 
 
 class RecordingAuthor:
-    """Appends messages to a new recording; a header stamp, log time and publish time are one if not given."""
+    """Appends messages to a new recording; by default stamp, log time and publish time are the same."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
@@ -86,7 +86,7 @@ class RecordingAuthor:
         self._write(topic, time_ns, message, {SOURCE_KEY: PHOTOGRAPHS} if is_photograph else {})
 
     def write_video(self, topic: str, time_ns: int, frame_id: str, data: bytes, codec: str) -> None:
-        """Append a picture of a video in Annex B as foxglove.CompressedVideo; `codec` is "h264" or "h265"."""
+        """Append a picture of an Annex B video as foxglove.CompressedVideo; `codec` is "h264" or "h265"."""
         message = CompressedVideo(frame_id=frame_id, data=data, format=codec)
         message.timestamp.FromNanoseconds(time_ns)
         self._write(topic, time_ns, message)

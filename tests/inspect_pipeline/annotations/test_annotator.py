@@ -125,7 +125,7 @@ def test_detections_come_back_without_loss(n_segments: int, n_lines: int, stamp_
         assert np.float32(line.score) == score
 
 
-def test_a_bad_image_says_why() -> None:
+def test_a_bad_image_has_its_reason() -> None:
     message = message_class(detections_schema(), "lsnet.Detections").FromString(
         encode_detections(frame(error="the image is empty"), None)
     )
@@ -139,7 +139,7 @@ def test_the_image_annotations_schema_stands_alone() -> None:
     assert [len(drawn.points) for drawn in message.points] == [2, 3]
 
 
-def test_the_compiled_schema_says_what_the_proto_file_says() -> None:
+def test_the_compiled_schema_agrees_with_the_proto_file() -> None:
     text = re.sub(r"//.*", "", (SCHEMAS / "lsnet_detections.proto").read_text())
     written = {
         (message, name, int(number)): (label or "", kind)

@@ -91,7 +91,7 @@ def test_detections_come_back_without_loss(
     assert bytes(again).rstrip(b"\0") == data.rstrip(b"\0")  # to the byte, but for the padding at the end
 
 
-def test_a_bad_image_says_why() -> None:
+def test_a_bad_image_has_its_reason() -> None:
     data = encode_detections(frame(error="the image is empty"), None)
     message = DETECTIONS.deserialize_cdr(data, "lsnet_msgs/msg/Detections")
     assert (message.error, len(message.segments), message.width) == ("the image is empty", 0, 0)
@@ -99,7 +99,7 @@ def test_a_bad_image_says_why() -> None:
 
 @pytest.mark.parametrize("n_lines", [0, 3])
 @pytest.mark.parametrize("n_segments", [0, 1, 200])
-def test_image_annotations_are_what_protobuf_says(n_segments: int, n_lines: int) -> None:
+def test_image_annotations_equal_those_in_protobuf(n_segments: int, n_lines: int) -> None:
     """The same picture as in foxglove.ImageAnnotations, which is tested by itself."""
     from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations  # noqa: PLC0415
 
@@ -130,7 +130,7 @@ def test_a_stamp_after_2038_is_its_last_second() -> None:
 
 
 @pytest.mark.parametrize("write", [annotated_copy, sidecar])
-def test_a_bag_stays_one_that_can_be_played(tmp_path: Path, write: Any) -> None:
+def test_an_annotated_bag_has_only_cdr_messages(tmp_path: Path, write: Any) -> None:
     """All its messages are CDR: players refuse bags of several encodings."""
     recording = open_recording(make_recording_with_rosbags(tmp_path / "bag", shots(4)))
     target = tmp_path / "annotated.mcap"
@@ -194,7 +194,7 @@ def run(path: Path, folder: Path, **options: Any) -> ProcessResult:
     return process(path, Store(folder / "store"), detector, asked, start_run(detector, asked))
 
 
-def test_protobuf_is_what_is_written_unasked(tmp_path: Path) -> None:
+def test_the_annotator_writes_protobuf_by_default(tmp_path: Path) -> None:
     recording = open_recording(make_recording(tmp_path / "a.mcap", shots(1)))
     with annotated_copy(recording, tmp_path / "b.mcap") as out:
         FrameAnnotator(out).write(next(iter_frames(recording)), some_detections(1))

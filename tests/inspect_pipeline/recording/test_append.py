@@ -76,7 +76,7 @@ def test_a_copy_holds_the_source_and_the_annotations(tmp_path: Path, name: str) 
         assert [m[1] for m in found] == sorted(m[1] for m in found)
 
 
-def test_statistics_that_cannot_be_are_not_believed(tmp_path: Path) -> None:
+def test_impossible_statistics_are_ignored(tmp_path: Path) -> None:
     """What they count of each channel is beyond what 64 bits hold of all together."""
     source = make_recording(tmp_path / "a.mcap", shots(12), enable_crcs=False)
     data = bytearray(source.read_bytes())
@@ -128,7 +128,7 @@ def test_the_summary_agrees_with_the_data(tmp_path: Path, name: str) -> None:
         assert len(set(offsets)) == kinds["Chunk"]
 
 
-def test_the_data_crc_goes_on(tmp_path: Path) -> None:
+def test_the_data_crc_is_continued(tmp_path: Path) -> None:
     source = make_recording(tmp_path / "a.mcap", shots(5), enable_data_crcs=True)
     annotate(source, tmp_path / "b.mcap")
     with (tmp_path / "b.mcap").open("rb") as file:
@@ -153,7 +153,7 @@ def test_annotation_chunks_are_short_in_time_and_size(tmp_path: Path) -> None:
     assert len(added) >= 20
 
 
-def test_ids_are_above_those_the_summary_does_not_tell(tmp_path: Path) -> None:
+def test_new_ids_are_above_those_missing_in_the_summary(tmp_path: Path) -> None:
     source = make_recording(tmp_path / "a.mcap", shots(5), repeat_channels=False, repeat_schemas=False)
     with source.open("rb") as file:
         used = [r.id for r in StreamReader(file).records if type(r).__name__ == "Channel"]
@@ -189,7 +189,7 @@ def test_a_copy_is_not_annotated_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("write", [annotated_copy, sidecar])
-def test_a_topic_of_the_recording_is_refused(tmp_path: Path, write) -> None:
+def test_a_topic_that_the_recording_has_is_refused(tmp_path: Path, write) -> None:
     source = make_recording(tmp_path / "a.mcap", shots(2, TOPIC))
     with pytest.raises(RecordingError, match=f"channel {TOPIC} already"):
         annotate(source, tmp_path / "b.mcap", write=write)

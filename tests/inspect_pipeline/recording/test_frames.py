@@ -11,12 +11,12 @@ def warnings(*stamps: tuple[str, int]) -> list[str]:
     return list(check.warnings())
 
 
-def test_stamps_in_order_are_nothing_to_tell() -> None:
+def test_stamps_in_order_give_no_warning() -> None:
     assert warnings(("/a", 1), ("/b", 1), ("/a", 2), ("/b", 2)) == []
     assert warnings() == []
 
 
-def test_stamps_by_which_images_are_not_told_apart() -> None:
+def test_ambiguous_stamps_give_a_warning() -> None:
     assert warnings(*[("/a", 0)] * 1200, ("/b", 5)) == ["/a: 1,200 images without a header stamp"]
     assert warnings(("/a", 5), ("/a", 5), ("/a", 5), ("/a", 6)) == [
         "/a: 2 images with the header stamp of the one before"

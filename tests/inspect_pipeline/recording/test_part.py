@@ -1,4 +1,4 @@
-"""Several recordings in one file, and recordings that go on behind their end."""
+"""Several recordings in one file, and messages after the end of a recording."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def two(folder: Path) -> tuple[bytes, bytes]:
 
 
 @pytest.mark.parametrize("between", [b"", b"\0" * 1000])
-def test_recordings_behind_one_another_are_one(tmp_path: Path, between: bytes) -> None:
+def test_concatenated_recordings_are_read_as_one(tmp_path: Path, between: bytes) -> None:
     first, second = two(tmp_path)
     path = tmp_path / "cat.mcap"
     path.write_bytes(first + between + second)
@@ -46,7 +46,7 @@ def test_recordings_behind_one_another_are_one(tmp_path: Path, between: bytes) -
     assert frames.losses == ()
 
 
-def test_the_copy_of_recordings_behind_one_another_is_one_recording(tmp_path: Path) -> None:
+def test_the_copy_of_concatenated_recordings_is_one_recording(tmp_path: Path) -> None:
     path, store = tmp_path / "cat.mcap", Store(tmp_path / "store")
     path.write_bytes(b"".join(two(tmp_path)))
     detector, options = FakeDetector(), ProcessOptions(topics=(CAMERA,))
@@ -60,7 +60,7 @@ def test_the_copy_of_recordings_behind_one_another_is_one_recording(tmp_path: Pa
     assert times == sorted(2 * [START_NS + i * STEP_NS for i in range(8)])
 
 
-def test_a_first_recording_without_end_hides_no_second_one(tmp_path: Path) -> None:
+def test_a_recording_after_a_truncated_one_is_read(tmp_path: Path) -> None:
     """A recorder that was interrupted, and appended to the same file when it started again."""
     first, second = two(tmp_path)
     path = tmp_path / "a.mcap"
@@ -72,7 +72,7 @@ def test_a_first_recording_without_end_hides_no_second_one(tmp_path: Path) -> No
     assert [number_of(f.image) for f in frames] == list(range(8))
 
 
-def test_bytes_behind_the_end_are_reported(tmp_path: Path) -> None:
+def test_bytes_after_the_end_are_reported(tmp_path: Path) -> None:
     first, _ = two(tmp_path)
     path = tmp_path / "a.mcap"
     path.write_bytes(first + b"\0" * 100)
@@ -82,7 +82,7 @@ def test_bytes_behind_the_end_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("chunked", [False, True])
-def test_messages_behind_a_data_end_are_read(tmp_path: Path, chunked: bool) -> None:
+def test_messages_after_a_data_end_are_read(tmp_path: Path, chunked: bool) -> None:
     path = make_recording(tmp_path / "a.mcap", shots(40), use_chunking=chunked)
     layout = open_recording(path).parts[0].layout
     content = path.read_bytes()

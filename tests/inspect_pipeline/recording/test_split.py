@@ -74,7 +74,7 @@ def test_attachments_and_metadata_are_kept(tmp_path: Path) -> None:
         ]
 
 
-def test_a_rosbag2_is_joined_by_its_metadata(tmp_path: Path) -> None:
+def test_a_rosbag2_is_joined_as_its_metadata_lists_it(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     make_recording_with_rosbags(bag, shots(4))
     second = make_recording_with_rosbags(tmp_path / "more", shots(4, start_ns=START_NS + 4 * STEP_NS))
@@ -115,7 +115,7 @@ def test_metadata_as_rosbag2_writes_it_since_version_5(tmp_path: Path) -> None:
     assert find_parts(tmp_path) == parts
 
 
-def test_of_a_damaged_part_the_readable_prefix_is_joined(tmp_path: Path) -> None:
+def test_a_damaged_part_is_joined_up_to_the_damage(tmp_path: Path) -> None:
     part(tmp_path / "b", "f_0.mcap", 0, (CAMERA,))
     cut = part(tmp_path / "b", "f_1.mcap", 4, (CAMERA,), use_chunking=False)
     cut.write_bytes(cut.read_bytes()[:-2000])
@@ -125,7 +125,7 @@ def test_of_a_damaged_part_the_readable_prefix_is_joined(tmp_path: Path) -> None
     assert len(list(iter_frames(open_recording(tmp_path / "a.mcap")))) > 4
 
 
-def test_what_is_no_split_recording_is_refused(tmp_path: Path) -> None:
+def test_other_folders_are_refused(tmp_path: Path) -> None:
     part(tmp_path / "b", "morning_0.mcap", 0, (CAMERA,))
     part(tmp_path / "b", "evening_1.mcap", 4, (CAMERA,))
     with pytest.raises(RecordingError, match="not parts of one"):

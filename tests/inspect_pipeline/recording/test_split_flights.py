@@ -132,7 +132,7 @@ def test_a_batch_takes_a_split_rosbag2_as_one(
     assert (flight.record.totals.n_frames, flight.record.source_uri) == (8, (inbox / "bag").as_uri())
 
 
-def test_damage_of_a_part_names_it(flight: Path, store: Store) -> None:
+def test_the_reason_names_the_damaged_part(flight: Path, store: Store) -> None:
     part = flight / "x_11.mcap"
     part.write_bytes(part.read_bytes()[:-1500])
     with pytest.raises(RecordingError, match=r"x_11\.mcap: "):
@@ -143,7 +143,7 @@ def test_damage_of_a_part_names_it(flight: Path, store: Store) -> None:
     assert 16 <= result.n_frames < 24
 
 
-def test_what_is_no_split_recording_is_refused(tmp_path: Path, store: Store) -> None:
+def test_other_folders_are_refused(tmp_path: Path, store: Store) -> None:
     (tmp_path / "photographs").mkdir()
     with pytest.raises(RecordingError, match=r"photographs: the folder has no recording; .*lsnet-pipe pack"):
         run(tmp_path / "photographs", store)

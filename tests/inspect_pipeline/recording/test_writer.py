@@ -53,7 +53,7 @@ def test_a_new_recording_is_read_back(tmp_path: Path) -> None:
     }
 
 
-def test_a_recording_appears_whole_and_replaces_none(tmp_path: Path) -> None:
+def test_a_recording_appears_complete_and_replaces_none(tmp_path: Path) -> None:
     path = tmp_path / "new.mcap"
     with new_recording(path) as author:
         author.write_image("/camera", 1, "camera", b"", "png")

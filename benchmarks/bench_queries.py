@@ -24,8 +24,8 @@ from typing import Any
 
 import duckdb
 
-from inspect_pipeline.index.flight_tables import create_tables
 from inspect_pipeline.index.named_queries import NamedQuery, named_queries
+from inspect_pipeline.index.schema import create_tables
 from inspect_pipeline.resources import read_schema
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "sql.md"

@@ -1,4 +1,4 @@
-"""File system steps that a crash cannot tear: fsync, swap of folders, locks that end with their process."""
+"""File system operations that are safe against crashes: whole files, swapped folders, locks."""
 
 from __future__ import annotations
 
@@ -6,34 +6,41 @@ import ctypes
 import errno
 import fcntl
 import os
+import shutil
+import stat
+import tempfile
+import time
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from inspect_pipeline.errors import StoreWriteError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 _NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
+_READER_WAIT_S = 5.0  # for the other end of a FIFO
 
+_NOT_A_FOLDER = ("a file is where a folder should be", "move it away or use another folder")
+_DENIED = ("permission denied", "check its owner and mode, or use another folder")
 _EXPLANATIONS = {
     errno.ENOSPC: ("there is no space left on the device", "free some and run again"),
-    errno.EDQUOT: ("the disk quota is used up", "free some space and run again"),
+    errno.EDQUOT: ("the disk quota is exceeded", "free some space and run again"),
     errno.EROFS: ("the file system is read-only", "use another folder"),
-    errno.EACCES: ("permission denied", "check its owner and mode, or use another folder"),
-    errno.EPERM: ("permission denied", "check its owner and mode, or use another folder"),
-    errno.ENOTDIR: ("a file is where a folder should be", "move it away or use another folder"),
-    errno.EEXIST: ("a file is where a folder should be", "move it away or use another folder"),
+    errno.EACCES: _DENIED,
+    errno.EPERM: _DENIED,
+    errno.ENOTDIR: _NOT_A_FOLDER,
+    errno.EEXIST: _NOT_A_FOLDER,
 }
 OUT_OF_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 @contextmanager
 def store_errors(path: Path) -> Iterator[None]:
-    """Raise the OSErrors of a block as StoreWriteErrors about `path`."""
+    """Turn an OSError raised in the block into a StoreWriteError about `path`."""
     try:
         yield
     except OSError as error:
@@ -41,14 +48,14 @@ def store_errors(path: Path) -> Iterator[None]:
 
 
 def explain_os_error(path: Path, error: OSError) -> StoreWriteError:
-    """The StoreWriteError about `path` that says what an OSError means and what to do."""
+    """Return the StoreWriteError about `path` that explains an OSError and what to do."""
     other = (error.strerror or str(error), "check the disk, then run again")
     problem, remedy = _EXPLANATIONS.get(error.errno or 0, other)
     return StoreWriteError(path, problem, remedy)
 
 
 def fsync_path(path: Path) -> None:
-    """Make a file, or the names in a folder, survive a power cut."""
+    """Flush a file, or the entries of a folder, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -57,7 +64,7 @@ def fsync_path(path: Path) -> None:
 
 
 def fsync_tree(folder: Path) -> None:
-    """Make a folder and everything below it survive a power cut."""
+    """Flush a folder and everything below it to the disk."""
     for path in folder.rglob("*"):
         fsync_path(path)
     fsync_path(folder)
@@ -65,21 +72,35 @@ def fsync_tree(folder: Path) -> None:
 
 @contextmanager
 def appearing(target: Path) -> Iterator[Path]:
-    """A name to write to, which becomes `target` at the end of the block, and is gone after an exception.
+    """Yield a path to write to; it becomes `target` at the end of the block, or is removed on an exception.
 
-    Raises OSError.
+    Symbolic links are followed, and an existing file keeps its mode. A target that is no regular file (a
+    FIFO, a character device, /dev/stdout) is never replaced: the content is written to it.
+
+    Raises:
+        OSError: Also for a folder, a block device, and a FIFO that nobody opens for reading.
     """
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    file, is_special = _resolve(target)
+    if is_special:
+        with tempfile.TemporaryDirectory() as folder:
+            part = Path(folder) / "content"
+            yield part
+            _copy_into(part, file)
+        return
+    part = file.with_name(f".{file.name}.{os.getpid()}.part")
     try:
         yield part
-        part.replace(target)
+        if file.exists():
+            shutil.copymode(file, part)
+        part.replace(file)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Make a text file appear in place of an older one, whole or not at all; raises OSError."""
+    """Write a text file, replacing an older one whole or not at all; raises OSError."""
+    path = Path(os.path.realpath(path))
     following = path.with_name(f".{path.name}.next")
     following.write_text(text, encoding="utf-8")
     fsync_path(following)
@@ -87,11 +108,55 @@ def write_whole(path: Path, text: str) -> None:
     fsync_path(path.parent)
 
 
-def move_folder_into_place(new: Path, final: Path, aside: Path) -> None:
-    """Make `new` appear as `final`, in one step, whether `final` exists or not.
+def _resolve(target: Path) -> tuple[Path, bool]:
+    """Follow links to the file that `target` means, and return whether it must be written in place.
 
-    An old `final` is left at `new`, or at `aside` where the file system cannot exchange two names. There,
-    a crash between the two renames leaves `final` missing and `aside` whole: see `undo_move_aside`.
+    /dev/stdout and the like are links to whatever file a shell has opened, which must not be replaced either.
+    """
+    try:
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        return Path(os.path.realpath(target)), False
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(target))
+    if stat.S_ISBLK(mode):
+        raise OSError(errno.EINVAL, "it is a block device", str(target))
+    return (target, True) if not stat.S_ISREG(mode) or _is_open_file(target) else (target.resolve(), False)
+
+
+def _is_open_file(target: Path) -> bool:
+    """Whether links lead through a folder of open files, /proc/<pid>/fd."""
+    while True:
+        if os.path.realpath(target.parent).startswith(("/proc/", "/dev/fd")):
+            return True
+        if not target.is_symlink():
+            return False
+        target = target.parent / target.readlink()
+
+
+def _copy_into(source: Path, target: Path) -> None:
+    """Append the content of a file to a device, a FIFO or an open file; raises OSError."""
+    deadline = time.monotonic() + _READER_WAIT_S
+    while True:
+        try:
+            descriptor = os.open(target, os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK)
+            break
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+            if time.monotonic() > deadline:
+                raise OSError(errno.ENXIO, "nobody reads from it", str(target)) from error
+        time.sleep(0.05)
+    os.set_blocking(descriptor, True)
+    with source.open("rb") as content, os.fdopen(descriptor, "wb") as file:
+        shutil.copyfileobj(content, file)
+
+
+def move_folder_into_place(new: Path, final: Path, aside: Path) -> None:
+    """Rename the folder `new` to `final` in one step, whether `final` exists or not.
+
+    An old `final` is left at `new`, or at `aside` where the file system cannot exchange two names. In that
+    case a crash between the two renames leaves `final` missing and `aside` whole: see `undo_move_aside`.
     """
     try:
         new.rename(final)
@@ -112,7 +177,7 @@ def _replace_folder(new: Path, final: Path, aside: Path) -> None:
 
 
 def undo_move_aside(final: Path, aside: Path) -> None:
-    """Bring back a `final` that a killed `move_folder_into_place` had moved to `aside`."""
+    """Restore a `final` that a killed `move_folder_into_place` had moved to `aside`."""
     if aside.exists() and not final.exists():
         aside.rename(final)
 
@@ -130,14 +195,25 @@ def _exchange(first: Path, second: Path) -> None:
 
 
 def acquire_lock(path: Path, *, wait: bool) -> TextIO:
-    """The file `path`, made if missing and locked until it is closed or its process ends.
+    """Lock the file `path`, made if missing, until the returned file is closed or its process ends.
 
-    Raises BlockingIOError when another process holds it and `wait` is false.
+    Raises:
+        BlockingIOError: When another process holds it and `wait` is false.
     """
-    file = path.open("a+", encoding="utf-8")
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except BaseException:
+    while True:
+        file = path.open("a+", encoding="utf-8", errors="replace")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            if _is_same_file(file, path):  # not removed by its holder while we waited
+                return file
+        except BaseException:
+            file.close()
+            raise
         file.close()
-        raise
-    return file
+
+
+def _is_same_file(file: TextIO, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False

@@ -100,10 +100,12 @@ def process(
     detector = detector or load_detector()
     run = run or start_run(detector, options)
     known = store.load_flight(recording.flight_id)
-    if known and known.run.config_sha256 == run.config_sha256 and not options.force:
-        result = _to_result(known, path, store, started)
-        return replace(result, status="skipped", reason=None, warnings=())
-    with store.write_flight(recording.flight_id) as staging:
+    if known and _is_done(known, run, options):
+        return _to_skipped(_to_result(known, path, store, started))
+    with store.lock_flight(recording.flight_id), store.write_flight(recording.flight_id) as staging:
+        known = store.load_flight(recording.flight_id)  # by a process that held the lock
+        if known and _is_done(known, run, options):
+            return _to_skipped(_to_result(known, path, store, started))
         record = _write_flight(
             recording, cameras, detector, options, run, folder=staging.path, on_progress=on_progress
         )
@@ -112,6 +114,18 @@ def process(
         staging.commit(record)
     result = _to_result(record, path, store, started)
     return replace(result, n_frames_replaced=known.totals.n_frames if known else None)
+
+
+def _is_done(known: FlightRecord, run: RunRecord, options: ProcessOptions) -> bool:
+    """Whether the stored flight is the result of the same model and options, and is to be kept."""
+    return known.run.config_sha256 == run.config_sha256 and not options.force
+
+
+def _to_skipped(result: ProcessResult) -> ProcessResult:
+    """Return the result of a flight that is not processed again; one that has failed stays failed."""
+    if result.status == "failed":
+        return result
+    return replace(result, status="skipped", reason=None, warnings=())
 
 
 def _refuse_empty(path: Path, known: FlightRecord, record: FlightRecord) -> None:

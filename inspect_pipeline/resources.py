@@ -1,4 +1,4 @@
-"""The package's version, and the one reader of schemas/, which is installed as `inspect_pipeline.schemas`."""
+"""The package's version, and access to schemas/, which is installed as `inspect_pipeline.schemas`."""
 
 from __future__ import annotations
 
@@ -6,16 +6,22 @@ from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 
-# Of the index, in order; a file that was released never changes.
-MIGRATIONS = ("0001_initial.sql", "0002_runs.sql", "0003_inspection.sql", "0004_stills.sql")
+# Of the index, in order. A released file never changes.
+MIGRATIONS = (
+    "0001_initial.sql",
+    "0002_runs.sql",
+    "0003_inspection.sql",
+    "0004_stills.sql",
+    "0005_reviewers.sql",
+)
 
 
-@cache  # every look-up parses the metadata of the package
+@cache  # every call parses the package metadata
 def app_version() -> str:
-    """The version of lsnet-pipe."""
+    """Return the version of lsnet-pipe."""
     return version("lsnet-pipe")
 
 
 def read_schema(name: str) -> str:
-    """The text of schemas/`name`; raises FileNotFoundError when the package lacks it."""
+    """Return the text of schemas/`name`; raises FileNotFoundError when the package lacks it."""
     return files("inspect_pipeline.schemas").joinpath(name).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
--- Answers that are asked for every day. Not frozen: made anew at every publish.
+-- Views for everyday questions. Not frozen: created anew at every publish.
 
 DROP VIEW IF EXISTS sensor_dropouts; -- frame_dropouts took its place
 
@@ -181,6 +181,7 @@ CREATE OR REPLACE VIEW reviewed_anomalies AS
 SELECT a.*,
        coalesce(r.verdict, 'open') AS verdict,
        r.note,
-       r.reviewed_at
+       r.reviewed_at,
+       nullif(r.reviewed_by, '') AS reviewed_by
 FROM anomalies AS a
 LEFT JOIN reviews AS r USING (anomaly_id);

@@ -1,9 +1,9 @@
 """The nightly job: every recording of the inbox fully indexed, or in quarantine with a reason, or untouched.
 
-inbox ─ discover ─ what is not done ─ workers ─┬─ flights ─ publish, at the end and every ten minutes
-                                               └─ quarantine notes
+inbox ── discover ── recordings not done ── workers ──┬── flights ── publish, at the end and every ten minutes
+                                                      └── quarantine notes
 
-It holds no state but the store's: killed at any point, it goes on when it is run again.
+Its only state is the store: killed at any point, it continues when it is run again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from inspect_pipeline.batch.stop_request import StopRequest
 from inspect_pipeline.batch.worker import WorkerFailure
 from inspect_pipeline.config import start_described_run
 from inspect_pipeline.errors import InspectError, StoreError
-from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.publish import publish
 from inspect_pipeline.store.records import ANNOTATED
 from inspect_pipeline.store.runs import Counts, RunSummary, save_run
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.batch.executor import Executor, Outcome
     from inspect_pipeline.batch.worker import Job
     from inspect_pipeline.config import ExecutorName
-    from inspect_pipeline.store.records import ProcessResult
+    from inspect_pipeline.store.records import FlightRecord, ProcessResult
     from inspect_pipeline.store.store import Store
 
 _PUBLISH_EVERY_S = 600.0
@@ -41,13 +41,19 @@ _PUBLISH_EVERY_S = 600.0
 
 @dataclass(frozen=True, slots=True)
 class BatchOptions:
-    """What to go through, and how carefully.
+    """Options of a batch.
 
-    inboxes: folders, files and glob patterns; since_ns: only files changed since, ns since 1970; limit:
-    recordings to process at most; executor: where the workers are; timeout_s: of one attempt; max_attempts:
-    before a recording that kills or outstays its worker goes to quarantine; settle_s: how long a file must be
-    unchanged to count as written; keep_annotated_days: annotated copies of flights made longer ago are
-    removed, None for never.
+    Attributes:
+        inboxes: Folders, files and glob patterns.
+        since_ns: Only files changed since, ns since 1970.
+        limit: Maximum number of recordings to process.
+        executor: Where the workers run.
+        n_workers: Recordings processed at a time.
+        timeout_s: Time limit of one attempt at a recording.
+        max_attempts: Attempts before a recording that fails them goes to quarantine.
+        settle_s: How long a file must be unchanged to count as complete.
+        tags: Kept with the run.
+        keep_annotated_days: Annotated copies of flights older than this are removed, None for never.
     """
 
     inboxes: tuple[str, ...]
@@ -63,7 +69,7 @@ class BatchOptions:
 
 
 class BatchReport(Protocol):
-    """Is told what happens, as it happens."""
+    """Receives events as they happen."""
 
     def __call__(self, event: str, **fields: object) -> None: ...
 
@@ -71,7 +77,9 @@ class BatchReport(Protocol):
 def run_batch(
     store: Store, job: Job, options: BatchOptions, report: BatchReport, stop: StopRequest | None = None
 ) -> RunSummary:
-    """Process what is new in the inboxes, one batch per store at a time; errors of a run are in its summary.
+    """Process new recordings of the inboxes; errors of the run are in its summary.
+
+    One batch per store runs at a time.
 
     Raises StoreBusyError while another batch holds the store, StoreError when it cannot be locked.
     """
@@ -79,13 +87,13 @@ def run_batch(
     with store.batch_lock():
         with _executor(job, options, stop) as executor:
             summary = _Batch(store, job, options, executor=executor, report=report, stop=stop).run()
-        with suppress(StoreError):  # its workers are dead only now
+        with suppress(StoreError):  # only now are all its workers dead
             store.remove_leftovers()
     return summary
 
 
 def plan_batch(store: Store, job: Job, options: BatchOptions, report: BatchReport) -> list[Candidate]:
-    """The recordings that a batch would process now; nothing is written.
+    """Return the recordings that a batch would process now; nothing is written.
 
     Raises InboxError, DetectorError, StoreError.
     """
@@ -120,14 +128,15 @@ class _Batch:
     ) -> None:
         self._store, self._job, self._options = store, job, options
         self._executor, self._report, self._stop = executor, report, stop
-        # Until a worker tells what its detector is.
+        # Replaced when a worker describes its detector.
         self._run = start_described_run({}, job.options, "batch", options.tags)
         self._quarantine, self._cache = Quarantine(store), StatCache(store)
+        self._published: dict[str, str] = {}
         self._counts = Counts()
         self._last_publish = time.monotonic()
 
     def run(self) -> RunSummary:
-        """Do everything, and keep a summary of it."""
+        """Run the batch and save its summary."""
         error: InspectError | None = None
         try:
             self._work()
@@ -169,29 +178,40 @@ class _Batch:
             self._remove_annotated_copies(timedelta(days=self._options.keep_annotated_days))
 
     def _is_due(self, candidate: Candidate) -> bool:
-        """Whether a recording is to be processed; counted if not."""
+        """Whether a recording is to be processed; if not, it is counted."""
         if self._quarantine.holds(candidate, self._run.config_sha256):
             self._counts = self._counts.plus(n_in_quarantine=1)
             return False
         flight_id = self._cache.flight_id(candidate)
-        if flight_id is None or not (flight_id == ANNOTATED_COPY or self._has(flight_id)):
+        if flight_id is None:
             return True
-        self._counts = self._counts.plus(n_skipped=1)
+        known = self._known(flight_id)
+        if known is None and flight_id != ANNOTATED_COPY:
+            return True
+        is_failed = known is not None and known.status == "failed"
+        self._counts = self._counts.plus(n_failed=int(is_failed), n_skipped=int(not is_failed))
         return False
 
-    def _has(self, flight_id: str) -> bool:
-        known = self._store.load_flight(flight_id)
-        return known is not None and known.run.config_sha256 == self._run.config_sha256
+    def _known(self, flight_id: str) -> FlightRecord | None:
+        """Return an undamaged flight of the same config; those in the index are not read again for that."""
+        if flight_id == ANNOTATED_COPY:
+            return None
+        stored = self._store.find_flight(flight_id)
+        if stored is None or stored.record.run.config_sha256 != self._run.config_sha256:
+            return None
+        if self._published.get(flight_id) == stored.result_sha256:
+            return stored.record
+        return self._store.load_flight(flight_id)
 
     def _part(self, candidates: list[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
-        """Those that are written to the end, and those that may still be written."""
+        """Split into complete recordings and those that may still be written."""
         parts: tuple[list[Candidate], list[Candidate]] = ([], [])
         for candidate in candidates:
             parts[not candidate.is_written(self._options.settle_s)].append(candidate)
         return parts
 
     def _wait_for(self, young: list[Candidate]) -> list[Candidate]:
-        """Those that turn out to be written to the end, when there was time to see."""
+        """Wait until recordings have settled, and return those that are complete."""
         last_seen = max(candidate.seen_at for candidate in young)
         self._stop.wait(last_seen + self._options.settle_s - time.monotonic())
         written, unfinished = self._part(young)
@@ -218,8 +238,9 @@ class _Batch:
             self._counts = self._counts.plus(n_skipped=1)
         else:
             self._counts = self._counts.plus(
-                n_processed=1,
+                n_processed=int(result.status != "failed"),
                 n_recovered=int(result.status == "recovered"),
+                n_failed=int(result.status == "failed"),
                 n_frames=result.n_frames,
                 n_bad_frames=result.n_bad_frames,
                 n_segments=result.n_segments,
@@ -238,13 +259,14 @@ class _Batch:
         )
         if not result.flight_id:
             self._report("recording without images skipped", path=str(candidate.path), reason=result.reason)
-        if result.reason and result.status == "recovered":
-            self._report("recording damaged", path=str(candidate.path), reason=result.reason)
+        if result.reason and result.status in ("recovered", "failed"):
+            event = "recording damaged" if result.status == "recovered" else "recording failed"
+            self._report(event, path=str(candidate.path), reason=result.reason)
         for warning in result.warnings:
             self._report("recording odd", path=str(candidate.path), warning=warning)
 
     def _give_up(self, outcome: Outcome, failure: WorkerFailure) -> None:
-        """Put a recording into quarantine, unless it is no longer the one that was tried."""
+        """Put a recording into quarantine, unless the file has changed since."""
         candidate = outcome.candidate
         if Candidate.at(candidate.path) != candidate:
             self._report("recording changed while it was read", path=str(candidate.path))
@@ -266,7 +288,7 @@ class _Batch:
         self._report("recording quarantined", **note.to_json(), duration_s=round(outcome.seconds, 3))
 
     def _remove_annotated_copies(self, age: timedelta) -> None:
-        """Remove those of flights that are older; what was found in them stays."""
+        """Remove the annotated copies of older flights; their rows stay."""
         flights, _ = self._store.scan()
         oldest = datetime.now(UTC) - age
         for flight in flights:
@@ -275,14 +297,16 @@ class _Batch:
                 self._report("annotated copy removed", flight_id=flight.record.flight_id)
 
     def _publish(self) -> None:
-        change = index.publish(self._store)
+        change = publish(self._store)
         self._last_publish = time.monotonic()
         self._report("index published", n_flights=change.n_flights, n_written=change.n_written)
+        for folder, problem in change.damaged:
+            self._report("flight damaged", path=str(folder), problem=problem)
 
     def _summary(self, error: InspectError | None) -> RunSummary:
         counts = self._counts
         n_settled = counts.n_processed + counts.n_skipped + counts.n_waiting
-        n_refused = counts.n_quarantined + counts.n_in_quarantine
+        n_refused = counts.n_failed + counts.n_quarantined + counts.n_in_quarantine
         exit_code = self._stop.exit_code or (3 if n_refused else 0)
         return RunSummary(
             run=self._run,

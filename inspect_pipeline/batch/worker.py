@@ -14,7 +14,14 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from inspect_pipeline.errors import DetectorError, NoImagesError, RecordingError, StoreError, TerrainError
+from inspect_pipeline.errors import (
+    DetectorError,
+    EmptyResultError,
+    NoImagesError,
+    RecordingError,
+    StoreError,
+    TerrainError,
+)
 from inspect_pipeline.store.records import ProcessResult
 from inspect_pipeline.store.store import Store
 
@@ -110,7 +117,7 @@ class Service:
             return error
         except NoImagesError as error:
             return ProcessResult("", str(path), "skipped", None, 0, 0, 0, 0.0, reason=error.problem)
-        except RecordingError as error:
+        except (EmptyResultError, RecordingError) as error:
             return WorkerFailure("unreadable", str(error))
         except Exception:  # whatever it is, it must not take the other recordings along
             return WorkerFailure("error", traceback.format_exc(limit=-_TRACEBACK_FRAMES))

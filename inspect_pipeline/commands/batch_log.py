@@ -24,6 +24,8 @@ _LINES = {
     "batch started": "{n_found} in the inbox, {n_due} to process",
     "recording done": "{path}: {status}, {frames}, {lines}, {duration_s:.1f} s",
     "recording damaged": "{path}: damaged: {reason}",
+    "recording failed": "{path}: failed: {reason}",
+    "flight damaged": "{path}: left out of the index: {problem}",
     "recording odd": "{path}: {warning}",
     "recording without images skipped": "{path}: skipped: {reason}",
     "recording quarantined": "{path}: in quarantine after attempt {attempts}, {reason}: {detail}",
@@ -38,6 +40,8 @@ _ENDS = ("recording done", "recording quarantined", "recording changed while it 
 _PROBLEMS = (
     *_ENDS[1:],
     "recording damaged",
+    "recording failed",
+    "flight damaged",
     "recording odd",
     "link out of the inbox left alone",
     "folder of the inbox cannot be read",

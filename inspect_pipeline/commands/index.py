@@ -27,8 +27,8 @@ def rebuild(store: StoreOption = None) -> None:
     from inspect_pipeline.index import publish
 
     change = publish.rebuild(open_store(store))
-    for folder in change.damaged:
-        warn(f"{folder}: damaged and left out; process its recording again")
+    for folder, problem in change.damaged:
+        warn(f"{folder}: left out: {problem}")
     print_line(count_of(change.n_flights, "flight"))
     if change.damaged:
         raise typer.Exit(1)

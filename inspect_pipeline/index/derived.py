@@ -1,7 +1,7 @@
-"""The part of the index that follows from the flights' rows and from what people told: coverage, anomalies.
+"""The derived part of the index: coverage and anomalies, from the flights' rows and user input.
 
 Computed flight by flight when the index is published, for flights that changed; for all of them when the
-spans, the rules or the program did.
+spans, the rules or the program changed.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ ORDER BY frame_idx, line_idx, number
 
 
 def input_digests(store: Store) -> dict[str, str]:
-    """A hash of everything else than flights that the index is made of, by its name.
+    """Return a hash of each input of the index other than flights, by its name.
 
     Raises RulesError.
     """
@@ -84,21 +84,21 @@ def input_digests(store: Store) -> dict[str, str]:
 
 
 def load_store_rules(store: Store) -> Rules:
-    """The rules of a store: its rules.toml, else the shipped ones; raises RulesError."""
+    """Load the rules of a store: its rules.toml, else the shipped ones; raises RulesError."""
     path = store.root / "rules.toml"
     return load_rules(path if path.exists() else None)
 
 
 def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequence[str]) -> None:
-    """Bring spans, reviews, tags, coverage and anomalies up to the flights and files of a store.
+    """Update spans, reviews, tags, coverage and anomalies from the flights and files of a store.
 
-    In the transaction of the caller. Raises RulesError, SpansError, StoreError.
+    Runs in the transaction of the caller. Raises RulesError, SpansError, StoreError.
     """
     digests = input_digests(store)
     known = dict(connection.execute("SELECT name, sha256 FROM inputs").fetchall())
     is_other = any(known.get(name) != digests[name] for name in ("program", "rules", "spans.geojson"))
     spans, rules = load_spans(store), load_store_rules(store)
-    _insert_told(connection, store, spans, digests)
+    _insert_user_input(connection, store, spans, digests)
     stale = _all_flights(connection) if is_other else list(changed)
     for table in DERIVED_TABLES:
         connection.execute(f"DELETE FROM {table} WHERE flight_id NOT IN (SELECT flight_id FROM flights)")
@@ -115,7 +115,7 @@ def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequen
 def inspect_flights(
     connection: duckdb.DuckDBPyConnection, store: Store, flight_ids: Sequence[str], rules: Rules
 ) -> Inspected:
-    """Anomalies and coverage of flights by other rules than the store's; raises SpansError, StoreError."""
+    """Compute anomalies and coverage of flights by other rules; raises SpansError, StoreError."""
     spans, reviews = load_spans(store), _reviewed(store)
     anomalies: list[dict[str, Any]] = []
     coverage: list[dict[str, Any]] = []
@@ -129,7 +129,7 @@ def inspect_flights(
 
 
 def load_cameras(connection: duckdb.DuckDBPyConnection, flight_id: str) -> list[CameraRows]:
-    """The rows of a flight, camera by camera."""
+    """Load the rows of a flight, camera by camera."""
     channels = "SELECT DISTINCT channel_id FROM frames WHERE flight_id = ? ORDER BY 1"
     ids = [channel_id for (channel_id,) in connection.execute(channels, [flight_id]).fetchall()]
     return [_load_camera(connection, flight_id, channel_id) for channel_id in ids]
@@ -143,7 +143,7 @@ def insert_records(
         return
     described = connection.execute(f"DESCRIBE {table}").fetchall()
     shape = {name: kind for name, kind, *_ in described if name in rows[0]}
-    # Names of files and words from a command line may hold what is no text, and no database takes.
+    # File names and command-line arguments may contain bytes that are not text.
     text = json.dumps(rows, ensure_ascii=False).encode(errors="replace").decode()
     connection.execute(
         f"{insert} BY NAME SELECT unnest(row) FROM (SELECT unnest(from_json(?, ?)) AS row)",
@@ -159,11 +159,11 @@ def _all_flights(connection: duckdb.DuckDBPyConnection) -> list[str]:
     return [flight_id for (flight_id,) in connection.execute("SELECT flight_id FROM flights").fetchall()]
 
 
-def _insert_told(
+def _insert_user_input(
     connection: duckdb.DuckDBPyConnection, store: Store, spans: list[Span], digests: dict[str, str]
 ) -> None:
-    """The tables of what people told, made anew."""
-    own = ("anomaly_id", "verdict", "note", "reviewed_at")
+    """Replace the tables of user input: spans, reviews, tags and the hashes of inputs."""
+    own = ("anomaly_id", "verdict", "note", "reviewed_at", "reviewed_by")
     reviews = [{name: getattr(one, name) for name in own} for one in load_reviews(store)]
     tags = [{"flight_id": tag.flight_id, "key": tag.key, "value": tag.value} for tag in load_tags(store)]
     inputs = [{"name": name, "sha256": digest} for name, digest in digests.items()]
@@ -174,7 +174,7 @@ def _insert_told(
 
 
 def _reviewed(store: Store) -> dict[str, list[Reviewed]]:
-    """The anomalies that were reviewed, by flight."""
+    """Return the reviewed anomalies by flight."""
     by_flight: dict[str, list[Reviewed]] = {}
     for one in load_reviews(store):
         what = (one.anomaly_id, one.kind, one.channel_id, one.span_id, one.start_ns, one.end_ns)
@@ -203,7 +203,7 @@ def _load_camera(connection: duckdb.DuckDBPyConnection, flight_id: str, channel_
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """A column without its mask: floats with NaN for NULL, integers and booleans as they are."""
+    """Remove the mask of a column: floats get NaN for NULL, integers and booleans stay as they are."""
     if values.dtype.kind == "f":
         filled: NDArray[Any] = np.ma.filled(values.astype(np.float64), np.nan)
         return filled

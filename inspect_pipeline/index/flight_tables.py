@@ -1,4 +1,4 @@
-"""Table schema and migrations, and the writer of the rows of one flight, frame by frame.
+"""The writer of the rows of one flight, frame by frame.
 
 The rows become frames, segments, lines and tracks.parquet. They wait in NumPy columns,
 then in an in-memory DuckDB that spills into the flight's folder, so memory stays bounded however many
@@ -7,7 +7,6 @@ segments a flight has.
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any, Self
 
@@ -25,7 +24,7 @@ from inspect_pipeline.index.columns import (
     segment_columns,
     track_columns,
 )
-from inspect_pipeline.resources import MIGRATIONS, app_version, read_schema
+from inspect_pipeline.index.schema import create_tables
 from inspect_pipeline.store.records import FlightTotals
 
 if TYPE_CHECKING:
@@ -89,31 +88,9 @@ WHERE (channel_id, track_id) NOT IN (SELECT (channel_id, track_id) FROM tracks)
 """
 
 
-def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
-    """Apply the migrations that a database lacks, each in a transaction."""
-    applied = count_migrations(connection)
-    for number, name in enumerate(MIGRATIONS[applied:], applied + 1):
-        connection.begin()
-        connection.execute(read_schema(name))
-        connection.execute(
-            "INSERT INTO schema_version VALUES (?, ?, ?)",
-            [number, datetime.now(UTC).replace(tzinfo=None), app_version()],
-        )
-        connection.commit()
-
-
-def count_migrations(connection: duckdb.DuckDBPyConnection) -> int:
-    """How many migrations were applied to a database."""
-    try:
-        row = connection.execute("SELECT max(version) FROM schema_version").fetchone()
-    except duckdb.CatalogException:
-        return 0
-    return int(row[0]) if row and row[0] else 0
-
-
-@cache  # going through the migrations for each flight takes longer than all else about a short one
+@cache  # running the migrations takes longer than everything else about a short flight
 def _row_tables() -> tuple[str, ...]:
-    """The statements that create the tables of rows as the migrations leave them."""
+    """Return the statements that create the row tables as the migrations leave them."""
     with duckdb.connect(":memory:", config=_CONFIG) as connection:
         create_tables(connection)
         statement = "SELECT sql FROM duckdb_tables() WHERE table_name IN (SELECT unnest(?))"
@@ -121,7 +98,7 @@ def _row_tables() -> tuple[str, ...]:
 
 
 class FlightWriter:
-    """Writes the rows of flight `flight_id` into `folder`; `finish` makes the files.
+    """Writes the rows of a flight into `folder`; `finish` makes the files.
 
     Raises StoreError when the folder cannot be written.
     """
@@ -215,7 +192,7 @@ class FlightWriter:
         return totals
 
     def _flush(self) -> None:
-        """Move the waiting rows into the tables."""
+        """Move the collected rows into the tables."""
         if self._frames:
             self._insert(_INSERT_FRAMES, frame_rows=frame_columns(self._frames, self._places))
         if self._segments:

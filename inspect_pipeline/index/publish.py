@@ -1,8 +1,8 @@
 """The index: one DuckDB file made from the flights of a store, replaced whole at every publish.
 
-A publish works on a copy and renames it over the index. Readers keep the file they opened, are never kept
-waiting and never see half; a killed publish leaves the old index. The flights' result.json and parquet
-files are the truth: an index that is missing, corrupt or behind is brought up to them.
+A publish works on a copy and renames it over the index. Readers keep the file they opened, never wait and
+never see a part; a killed publish leaves the old index. The flights' result.json and parquet files are the
+source of truth: an index that is missing, corrupt or behind is brought up to date from them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,27 @@ import duckdb
 from inspect_pipeline.atomic import fsync_path, store_errors
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.index.derived import input_digests, insert_records, inspect_flights, refresh
-from inspect_pipeline.index.flight_tables import count_migrations, create_tables
-from inspect_pipeline.index.rows import CONFIG, REBUILD, compare_rows, find_unreadable, replace_rows
+from inspect_pipeline.index.rows import (
+    compare_checksums,
+    compare_rows,
+    find_damaged,
+    find_unreadable,
+    insert_checksums,
+    replace_rows,
+)
+from inspect_pipeline.index.schema import (
+    CONFIG,
+    DATABASE_ERRORS,
+    REBUILD,
+    count_migrations,
+    create_tables,
+    first_line,
+    index_error,
+    is_locked,
+)
 from inspect_pipeline.resources import MIGRATIONS, app_version, read_schema
 from inspect_pipeline.store.runs import load_runs, run_rows
+from inspect_pipeline.store.store import as_store
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -29,29 +46,30 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.index.derived import Inspected
     from inspect_pipeline.inspection.rules import Rules
-    from inspect_pipeline.store.store import Store, StoredFlight
+    from inspect_pipeline.store.store import Damage, Store, StoredFlight
 
 _HEADER_BYTES = 3 * 4096  # in front of the blocks
 
 
 @dataclass(frozen=True, slots=True)
 class IndexChange:
-    """What a publish did: flights in the index now, written, removed, and damaged folders left out."""
+    """The outcome of a publish: flights in the index now, written and removed, and folders left out."""
 
     n_flights: int
     n_written: int
     n_removed: int
-    damaged: tuple[Path, ...]
+    damaged: tuple[Damage, ...]
 
 
-def publish(store: Store) -> IndexChange:
-    """Bring the index up to the flights of the store; nothing is written when it already is.
+def publish(store: Store | Path | str) -> IndexChange:
+    """Bring the index up to date with the flights of the store; nothing is written when it already is.
 
     A missing or corrupt index is made anew. Raises StoreError, StoreVersionError.
     """
+    store = as_store(store)
     with store.publish_lock():
         store.remove_leftovers()
-        flights, damaged = _whole_flights(store)
+        flights, damaged = store.scan()
         known = _published(store.index_path)
         if known is None:
             return _rebuild(store, flights, damaged)
@@ -60,21 +78,30 @@ def publish(store: Store) -> IndexChange:
             return IndexChange(len(flights), 0, 0, tuple(damaged))
         try:
             return _replace_index(store, flights, damaged, known)
-        except duckdb.Error:  # a corrupt block, of the index or of a flight
+        except DATABASE_ERRORS:  # a corrupt block, of the index or of a flight
             return _rebuild(store, flights, damaged)
 
 
-def rebuild(store: Store) -> IndexChange:
+def rebuild(store: Store | Path | str) -> IndexChange:
     """Make the index anew from the flights of the store; raises StoreError."""
+    store = as_store(store)
     with store.publish_lock():
         store.remove_leftovers()
-        return _rebuild(store, *_whole_flights(store))
+        return _rebuild(store, *store.scan())
+
+
+def published_flights(store: Store) -> dict[str, str]:
+    """Return the sha256 of the result.json of each flight in the index, {} without a readable index.
+
+    Raises StoreVersionError.
+    """
+    return _published(store.index_path) or {}
 
 
 def select(store: Store, sql: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
-    """The rows of a statement of this program's own, by name; that of people goes to query.py.
+    """Return the rows of one of this program's own statements as dicts; users' SQL goes to query.py.
 
-    Raises StoreError when there is no index, or none that can be read.
+    Raises StoreError when there is no index, or it cannot be read.
     """
     with _reading(store) as connection:
         cursor = connection.execute(sql, list(values))
@@ -83,7 +110,7 @@ def select(store: Store, sql: str, values: Sequence[Any] = ()) -> list[dict[str,
 
 
 def inspect_again(store: Store, flight_ids: Sequence[str], rules: Rules) -> Inspected:
-    """Anomalies and coverage of flights by other rules, as rows of the tables; raises StoreError."""
+    """Return anomalies and coverage of flights by other rules, as rows of the tables; raises StoreError."""
     with _reading(store) as connection:
         return inspect_flights(connection, store, flight_ids, rules)
 
@@ -98,42 +125,68 @@ def _reading(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
             if count_migrations(connection) != len(MIGRATIONS):
                 raise StoreVersionError(path, "the index is of another version", REBUILD)
             yield connection
-    except duckdb.Error as error:
-        raise StoreError(path, f"cannot be read ({str(error).splitlines()[0]})", REBUILD) from error
+    except DATABASE_ERRORS as error:
+        raise index_error(path, error) from error
 
 
-def verify(store: Store) -> tuple[str, ...]:
-    """What differs between the index and the flights of the store, a sentence each; every value is compared.
+def verify(store: Store | Path | str) -> tuple[str, ...]:
+    """Compare every value of the index with the flights, and every file of the flights with its checksum.
 
-    Raises StoreError, StoreVersionError.
+    Returns:
+        A sentence for each difference.
+
+    Raises:
+        StoreError: Also while another program has the index open for writing.
+        StoreVersionError: The index was written by a newer version.
     """
+    store = as_store(store)
     with store.publish_lock():
-        flights, damaged = _whole_flights(store)
-        problems = [f"{folder}: damaged; process its recording again" for folder in damaged]
-        known = _published(store.index_path)
+        flights, damaged = store.scan()
+        damaged += _check_files(store, flights)
+        problems = [f"{folder}: {problem}" for folder, problem in damaged]
+        known = _published(store.index_path, is_lock_error=True)
         if known is None:
             return (*problems, f"{store.index_path}: missing or corrupt; {REBUILD}")
         wanted = {flight.record.flight_id: flight for flight in flights}
         problems += [f"{flight_id}: in the index only; {REBUILD}" for flight_id in known.keys() - wanted]
-        problems += [f"{flight_id}: not in the index; {REBUILD}" for flight_id in wanted.keys() - known]
+        folders = {one.folder for one in damaged}
+        absent = [i for i, flight in wanted.items() if i not in known and flight.folder not in folders]
+        problems += [f"{flight_id}: not in the index; {REBUILD}" for flight_id in absent]
         same = {i: f for i, f in wanted.items() if known.get(i) == f.result_sha256}
         problems += [f"{i}: older in the index; {REBUILD}" for i in (wanted.keys() & known) - same.keys()]
-        problems += compare_rows(store.index_path, list(same.values()))
-        if not problems and not _is_current(store, flights):
-            problems.append(f"{store.index_path}: other runs, spans or rules, or another version; {REBUILD}")
+        intact = [flight for flight in same.values() if flight.folder not in folders]
+        problems += compare_rows(store.index_path, intact)
+        if not problems:
+            problems += _check_rest(store, flights)
         return tuple(problems)
 
 
+def _check_files(store: Store, flights: list[StoredFlight]) -> list[Damage]:
+    """Return the flights with a file whose checksum differs, annotated copies included."""
+    with store_errors(store.root):
+        return find_damaged(flights, lambda flight: flight.record.files)
+
+
+def _check_rest(store: Store, flights: list[StoredFlight]) -> list[str]:
+    """Check version, runs and user input of the index, then the checksums of its other tables."""
+    if not _is_current(store, flights):
+        return [f"{store.index_path}: other runs, spans or rules, or another version; {REBUILD}"]
+    try:
+        return compare_checksums(store.index_path)
+    except DATABASE_ERRORS as error:
+        return [f"{store.index_path}: {first_line(error)}; {REBUILD}"]
+
+
 def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
-    """Whether an index is of this version of the program, with all runs and what people told."""
+    """Whether the index is of this version of the program, with all runs and user input."""
     try:
         return _is_up_to_date(store, flights)
-    except duckdb.Error:  # a table is missing, or damaged
+    except DATABASE_ERRORS:  # a table is missing, or damaged
         return False
 
 
 def _is_up_to_date(store: Store, flights: list[StoredFlight]) -> bool:
-    """The same of one that can be read; raises duckdb.Error."""
+    """Implement `_is_current` for an index that can be read; raises DATABASE_ERRORS."""
     with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
         if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):
@@ -149,17 +202,10 @@ def _run_rows(store: Store, flights: list[StoredFlight]) -> list[dict[str, Any]]
     return run_rows((flight.record.run for flight in flights), load_runs(store))
 
 
-def _whole_flights(store: Store) -> tuple[list[StoredFlight], list[Path]]:
-    """The flights whose files are as result.json says, and the folders of the others."""
-    flights, damaged = store.scan()
-    cut = [flight.folder for flight in flights if not flight.is_whole()]
-    return [flight for flight in flights if flight.folder not in cut], [*damaged, *cut]
+def _published(path: Path, *, is_lock_error: bool = False) -> dict[str, str] | None:
+    """Return the sha256 of the result.json of each flight in an index; None when it must be made anew.
 
-
-def _published(path: Path) -> dict[str, str] | None:
-    """The sha256 of the result.json of each flight in an index; None when it must be made anew.
-
-    Raises StoreVersionError.
+    Raises StoreVersionError and, with `is_lock_error`, StoreError when another program is writing to it.
     """
     if not path.exists():
         return None
@@ -169,41 +215,64 @@ def _published(path: Path) -> dict[str, str] | None:
             if found > len(MIGRATIONS):
                 problem = f"index version {found}, this program knows {len(MIGRATIONS)}"
                 raise StoreVersionError(path, problem, "upgrade lsnet-pipe")
-            if found == 0 or path.stat().st_size < _size_bytes(connection):
+            if found == 0 or not _has_all_blocks(path, connection):
                 return None
             return dict(connection.execute("SELECT flight_id, result_sha256 FROM flights").fetchall())
-    except duckdb.Error:
+    except DATABASE_ERRORS as error:
+        if is_lock_error and is_locked(error):
+            raise index_error(path, error) from error
         return None
 
 
-def _size_bytes(connection: duckdb.DuckDBPyConnection) -> int:
-    """How large the file of a database must be; DuckDB reads one that was cut, until a block is missing."""
-    row = connection.execute("SELECT total_blocks * block_size FROM pragma_database_size()").fetchone()
-    return _HEADER_BYTES + int(row[0]) if row else 0
+def _has_all_blocks(path: Path, connection: duckdb.DuckDBPyConnection) -> bool:
+    """Whether the file holds every block in use: DuckDB misses one that was cut off only when it reads it.
+
+    Free blocks at the end do not count, which DuckDB 2 removes.
+    """
+    names = connection.execute("SELECT table_name FROM duckdb_tables() WHERE NOT internal").fetchall()
+    last = max(
+        (
+            block_id
+            for (name,) in names
+            for (block_id,) in connection.execute(
+                "SELECT max(block_id) FROM pragma_storage_info(?) WHERE persistent", [name]
+            ).fetchall()
+            if block_id is not None
+        ),
+        default=-1,
+    )
+    size = connection.execute("SELECT block_size FROM pragma_database_size()").fetchall()[0][0]
+    return path.stat().st_size >= _HEADER_BYTES + (last + 1) * int(size)
 
 
-def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Path]) -> IndexChange:
+def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Damage]) -> IndexChange:
     try:
         return _replace_index(store, flights, damaged, None)
-    except duckdb.Error:
+    except DATABASE_ERRORS:
         unreadable = find_unreadable(flights)
-    readable = [flight for flight in flights if flight.folder not in unreadable]
+    folders = {one.folder for one in unreadable}
+    readable = [flight for flight in flights if flight.folder not in folders]
     try:
         return _replace_index(store, readable, [*damaged, *unreadable], None)
-    except duckdb.Error as error:
-        problem = f"cannot be made ({str(error).splitlines()[0]})"
+    except DATABASE_ERRORS as error:
+        problem = f"cannot be written ({first_line(error)})"
         raise StoreError(store.index_path, problem, "check the space on the disk, then " + REBUILD) from error
 
 
 def _replace_index(
-    store: Store, flights: list[StoredFlight], damaged: list[Path], known: Mapping[str, str] | None
+    store: Store, flights: list[StoredFlight], damaged: list[Damage], known: Mapping[str, str] | None
 ) -> IndexChange:
     """Write the next index, from the current one with its `known` flights or from nothing, and rename it.
 
-    Raises duckdb.Error, StoreError.
+    Flights to be read whose checksums differ are left out. Raises DATABASE_ERRORS, StoreError.
     """
     path, following = store.index_path, store.index_path.with_name("index.duckdb.next")
     changed = [f for f in flights if known is None or known.get(f.record.flight_id) != f.result_sha256]
+    with store_errors(path):
+        damaged = [*damaged, *find_damaged(changed)]
+    left_out = {one.folder for one in damaged}
+    flights = [flight for flight in flights if flight.folder not in left_out]
+    changed = [flight for flight in changed if flight.folder not in left_out]
     removed = set(known or ()) - {flight.record.flight_id for flight in flights}
     with store_errors(path):
         _remove_database(following)
@@ -212,16 +281,17 @@ def _replace_index(
         with duckdb.connect(following, config=CONFIG) as connection:
             create_tables(connection)
             replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
-            connection.begin()  # one by one, each of these statements would wait for the disk
+            connection.begin()  # else each of these statements would wait for the disk
             connection.execute("DELETE FROM runs")
             insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
             refresh(connection, store, [flight.record.flight_id for flight in changed])
             connection.execute(read_schema("views.sql"))
             connection.execute("UPDATE schema_version SET app_version = ?", [app_version()])
+            insert_checksums(connection)
             connection.commit()
             connection.execute("CHECKPOINT")
         fsync_path(following)
-        # Not ours, but a log left by someone's own DuckDB would be replayed into the new file.
+        # A log left by another program would be replayed into the new file.
         path.with_name("index.duckdb.wal").unlink(missing_ok=True)
         following.replace(path)
         fsync_path(path.parent)
@@ -230,6 +300,6 @@ def _replace_index(
 
 
 def _remove_database(path: Path) -> None:
-    """Remove a database with its log and its spilled blocks, left by a killed publish."""
+    """Remove a database with its log and its spilled blocks, as a killed publish leaves them."""
     for leftover in path.parent.glob(f"{path.name}*"):
         shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()

@@ -1,4 +1,4 @@
-"""Safe SQL over the index: one reading statement, run in a child process that is limited and killed in time.
+"""Safe SQL over the index: one reading statement, run in a child process with limits and a timeout.
 
 The child (query_child.py) opens the index read-only with file access off and refuses everything but one
 SELECT. SQL is code all the same, and so is a database file: open only indexes that you made.
@@ -19,15 +19,22 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 from inspect_pipeline.atomic import appearing, fsync_path
 from inspect_pipeline.errors import QueryError, QueryTimeoutError, StoreError, StoreVersionError
+from inspect_pipeline.index.schema import BUSY, REBUILD
 from inspect_pipeline.resources import MIGRATIONS
+from inspect_pipeline.store.store import as_store
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import pandas as pd
+    import pyarrow as pa
+
     from inspect_pipeline.errors import InspectError
+    from inspect_pipeline.store.store import Store
+
+Format = Literal["table", "csv", "json", "parquet"]
 
 _PRINTED_ROWS = 1000
-Format = Literal["table", "csv", "json", "parquet"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +46,68 @@ class QueryLimits:
     max_rows: int | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class QueryResult:
+    """The rows of a query: columns in their order, all rows."""
+
+    _table: pa.Table
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of the columns."""
+        return list(self._table.column_names)
+
+    def arrow(self) -> pa.Table:
+        """Return the rows as a pyarrow Table."""
+        return self._table
+
+    def df(self) -> pd.DataFrame:
+        """Return the rows as a pandas DataFrame; raises QueryError where pandas is not installed."""
+        try:
+            import pandas  # noqa: F401, PLC0415 - pyarrow needs it, the rest does not
+        except ImportError as error:
+            raise QueryError("pandas is not installed; pip install pandas") from error
+        return self._table.to_pandas()
+
+    def fetchall(self) -> list[tuple[Any, ...]]:
+        """Return the rows as tuples of Python values."""
+        return list(zip(*(column.to_pylist() for column in self._table.columns), strict=True))
+
+    def __len__(self) -> int:
+        """The number of rows."""
+        return int(self._table.num_rows)
+
+
+def query(
+    store: Store | Path | str,
+    sql: str,
+    *,
+    limits: QueryLimits = QueryLimits(),
+    allow_files: bool = False,
+) -> QueryResult:
+    """Run one reading statement on the index of a store and return its rows.
+
+    Args:
+        store: The store or its folder.
+        sql: One SELECT, WITH, EXPLAIN, DESCRIBE, SHOW or SUMMARIZE.
+        limits: Time and memory the statement may use.
+        allow_files: Let the statement read files, as read_csv does.
+
+    Raises:
+        QueryError: The statement is refused, fails or hits a limit.
+        StoreError: There is no index, or it cannot be read.
+        StoreVersionError: The index was written by a newer version.
+    """
+    import pyarrow as pa  # noqa: PLC0415 - the command does without
+
+    job = _job(as_store(store).index_path, sql, "arrow", limits, allow_files=allow_files)
+    with tempfile.NamedTemporaryFile() as file:
+        _run_child(job, limits.timeout_s, file.file)
+        # Mapped, so the system may drop pages of a large result; the file lives as long as the table.
+        with pa.memory_map(file.name) as source, pa.ipc.open_stream(source) as reader:
+            return QueryResult(reader.read_all())
+
+
 def run_query(
     index_path: Path,
     sql: str,
@@ -48,27 +117,18 @@ def run_query(
     limits: QueryLimits = QueryLimits(),
     allow_files: bool = False,
 ) -> None:
-    """Run one statement on the index and write its rows to the file `output`, whole or not at all, or stdout.
+    """Run one statement and write its rows to stdout or, whole or not at all, to the file `output`.
 
-    Raises QueryError when the statement is refused, fails or hits a limit; StoreError and
-    StoreVersionError when there is no index, or none that can be read.
+    A table on stdout is cut to `limits.max_rows` rows and to the terminal. Raises the errors of `query`, and
+    QueryError for an output that cannot be written.
     """
-    if not index_path.exists():
-        raise StoreError(index_path.parent, "there is no index", "run lsnet-pipe process first")
-    if format == "parquet" and output is None and sys.stdout.isatty():
+    if output is None and sys.stdout is None:
+        raise QueryError("stdout is closed; write to a file")
+    is_terminal = output is None and sys.stdout.isatty()
+    if format == "parquet" and is_terminal:
         raise QueryError("Parquet is not text to print; write it to a file")
-    job = {
-        "index_path": str(index_path),
-        "sql": sql,
-        "format": format,
-        "allow_files": allow_files,
-        "memory_bytes": limits.memory_bytes,
-        "cpu_s": int(2 * limits.timeout_s) + 2,
-        "max_rows": limits.max_rows or (_PRINTED_ROWS if output is None else None),
-        "width": shutil.get_terminal_size().columns if output is None and sys.stdout.isatty() else None,
-        "version": len(MIGRATIONS),
-        "copy_path": "/dev/stdout",
-    }
+    job = _job(index_path, sql, format, limits, allow_files=allow_files)
+    job["width"] = shutil.get_terminal_size().columns if is_terminal else None
     if output is not None:
         with _appearing(output) as path:
             _write_file(job, limits.timeout_s, path)
@@ -79,18 +139,38 @@ def run_query(
             with path.open("rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)
     else:
+        job["max_rows"] = limits.max_rows or _PRINTED_ROWS
         _run_child(job, limits.timeout_s, sys.stdout.buffer)
+
+
+def _job(
+    index_path: Path, sql: str, form: Format | Literal["arrow"], limits: QueryLimits, *, allow_files: bool
+) -> dict[str, Any]:
+    """Return what the child needs to know; raises StoreError where there is no index."""
+    if not index_path.exists():
+        raise StoreError(index_path.parent, "there is no index", "run lsnet-pipe process first")
+    return {
+        "index_path": str(index_path),
+        "sql": sql,
+        "format": form,
+        "allow_files": allow_files,
+        "memory_bytes": limits.memory_bytes,
+        "cpu_s": int(2 * limits.timeout_s) + 2,
+        "max_rows": limits.max_rows,
+        "version": len(MIGRATIONS),
+        "copy_path": "/dev/stdout",
+    }
 
 
 @contextmanager
 def _appearing(output: Path) -> Iterator[Path]:
-    """A name to write to, which becomes `output` at the end of the block; raises QueryError."""
+    """Yield a path to write to, which becomes `output` at the end of the block; raises QueryError."""
     try:
         with appearing(output) as path:
             yield path
             fsync_path(path)
     except OSError as error:
-        raise QueryError(f"{output}: {error.strerror}; name another file") from error
+        raise QueryError(f"{output}: {error.strerror}; use another file") from error
 
 
 def _write_file(job: dict[str, Any], timeout_s: float, path: Path) -> None:
@@ -100,7 +180,7 @@ def _write_file(job: dict[str, Any], timeout_s: float, path: Path) -> None:
 
 
 def _run_child(job: dict[str, Any], timeout_s: float, sink: IO[bytes]) -> None:
-    """Give the job to a child, copy what it prints to `sink`, and kill it when its time is up."""
+    """Give the job to a child, copy its stdout to `sink`, and kill it at the timeout."""
     command = [sys.executable, "-P", str(Path(__file__).with_name("query_child.py"))]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe) as child:
@@ -132,13 +212,15 @@ def _converse(child: subprocess.Popen[bytes], job: dict[str, Any], sink: IO[byte
 
 
 def _explain(index_path: Path, returncode: int, message: bytes) -> InspectError:
-    """The error of a child that failed."""
+    """Return the error of a child that failed."""
     try:
         error = json.loads(message)
     except ValueError:
         return QueryError(f"the query ran out of memory or time (child ended with {returncode}); narrow it")
     if error["kind"] == "version":
         return StoreVersionError(index_path, error["message"], "upgrade lsnet-pipe")
+    if error["kind"] == "busy":
+        return StoreError(index_path, *BUSY)
     if error["kind"] == "store":
-        return StoreError(index_path, error["message"], "run lsnet-pipe index rebuild")
+        return StoreError(index_path, error["message"], REBUILD)
     return QueryError(error["message"])

@@ -1,7 +1,8 @@
 """The child process of query.py: limits itself, runs one reading statement, writes the rows to stdout.
 
 Started as a script with a job in JSON on stdin. It imports nothing of this package, to start quickly.
-Ends with 0, or with 1 and one JSON object on stderr: {"kind": "query" | "store" | "version", "message": ...}.
+Ends with 0, or with 1 and one JSON object on stderr: {"kind": KIND, "message": ...}, where KIND is query,
+store, busy or version.
 """
 
 from __future__ import annotations
@@ -54,20 +55,20 @@ class Rows(NamedTuple):
 
 
 def main() -> None:
-    """Run the job of stdin."""
+    """Run the job read from stdin."""
     job = json.load(sys.stdin)
     limit_process(job)
     import duckdb  # noqa: PLC0415 - after the limits
 
     try:
         connection = open_index(job)
-    except duckdb.Error as error:
-        fail("store", one_line(error))
+    except (duckdb.Error, UnicodeError) as error:
+        fail("busy" if "Could not set lock" in str(error) else "store", one_line(error))
     try:
         check_statement(job["sql"])
         run_statement(connection, job)
         sys.stdout.flush()
-        os._exit(0)  # spares the time to take interpreter and database down
+        os._exit(0)  # saves the time to shut interpreter and database down
     except (MemoryError, duckdb.OutOfMemoryException):
         fail("query", f"it needs more than {job['memory_bytes'] >> 20} MiB of memory; narrow the query")
     except (duckdb.Error, UnicodeError) as error:
@@ -89,7 +90,7 @@ def limit_process(job: dict[str, Any]) -> None:
 
 
 def open_index(job: dict[str, Any]) -> duckdb.DuckDBPyConnection:
-    """Open the index read-only, then shut the file system and the settings; raises duckdb.Error."""
+    """Open the index read-only, then lock out the file system and settings; raises duckdb.Error."""
     import duckdb  # noqa: PLC0415 - after the limits
 
     config: dict[str, str | bool | int | float | list[str]] = {
@@ -132,6 +133,8 @@ def run_statement(connection: duckdb.DuckDBPyConnection, job: dict[str, Any]) ->
         target = f"{quote(job['copy_path'])} ({_COPY_OPTIONS[job['format']]}, USE_TMP_FILE false)"
         rows = select_csv(connection, source) if job["format"] == "csv" else f"FROM {source}"
         connection.execute(f"COPY ({rows}) TO {target}")
+    elif job["format"] == "arrow":
+        write_arrow(connection, source)
     elif job["format"] == "json":
         write_json(select_objects(connection, source), sys.stdout)
     else:
@@ -140,8 +143,21 @@ def run_statement(connection: duckdb.DuckDBPyConnection, job: dict[str, Any]) ->
         )
 
 
+def write_arrow(connection: duckdb.DuckDBPyConnection, source: str) -> None:
+    """Write the rows of `source` as an Arrow IPC stream."""
+    import pyarrow as pa  # noqa: PLC0415 - the other formats do without
+
+    rows = connection.sql(f"FROM {source}")
+    with (
+        rows.to_arrow_reader(_BATCH_ROWS) as reader,
+        pa.ipc.new_stream(sys.stdout.buffer, reader.schema) as writer,
+    ):
+        for batch in reader:
+            writer.write_batch(batch)
+
+
 def select_texts(connection: duckdb.DuckDBPyConnection, source: str) -> Rows:
-    """The rows of `source`, every cell turned into text by DuckDB itself."""
+    """Return the rows of `source` with every cell cast to text by DuckDB."""
     names, types = describe(connection, source)
     columns = [f"c{number}" for number in range(len(names))]
     cells = ", ".join(
@@ -152,7 +168,7 @@ def select_texts(connection: duckdb.DuckDBPyConnection, source: str) -> Rows:
 
 
 def select_objects(connection: duckdb.DuckDBPyConnection, source: str) -> Iterator[str]:
-    """The rows of `source` as JSON objects, in which NaN and Infinity may stand."""
+    """Return the rows of `source` as JSON objects, which may contain NaN and Infinity."""
     names, types = describe(connection, source)
     columns = [f"c{number}" for number in range(len(names))]
     cells = (time_as_text(column, kind) for column, kind in zip(columns, types, strict=True))
@@ -175,13 +191,13 @@ def select_csv(connection: duckdb.DuckDBPyConnection, source: str) -> str:
 
 
 def describe(connection: duckdb.DuckDBPyConnection, source: str) -> tuple[list[str], list[str]]:
-    """Names, each once, and SQL types of the columns of `source`."""
+    """Return the names and SQL types of the columns of `source`; query() makes names unique."""
     columns = connection.execute(f"SELECT * FROM {source} LIMIT 0").description or []
     return [column[0] for column in columns], [str(column[1]) for column in columns]
 
 
 def iter_rows(connection: duckdb.DuckDBPyConnection) -> Iterator[Row]:
-    """The rows of what was just executed, fetched as they are needed."""
+    """Yield the rows of the last statement, fetched in batches."""
     return chain.from_iterable(iter(lambda: connection.fetchmany(_BATCH_ROWS), []))
 
 
@@ -195,19 +211,25 @@ def time_as_text(column: str, kind: str) -> str:
 
 
 def write_plan(plans: list[tuple[str, str]], job: dict[str, Any]) -> None:
-    """Write what EXPLAIN says."""
+    """Write the output of EXPLAIN."""
     names = ["explain_key", "explain_value"]
     if job["format"] == "json":
         objects = [json.dumps(dict(zip(names, plan, strict=True)), ensure_ascii=False) for plan in plans]
         write_json(iter(objects), sys.stdout)
     elif job["format"] == "csv":
         csv.writer(sys.stdout, lineterminator="\n").writerows([names, *plans])
+    elif job["format"] == "arrow":
+        import pyarrow as pa  # noqa: PLC0415 - the other formats do without
+
+        table = pa.table(dict(zip(names, zip(*plans, strict=True), strict=True)))
+        with pa.ipc.new_stream(sys.stdout.buffer, table.schema) as writer:
+            writer.write_table(table)
     else:
         write_table(Rows(names, ["VARCHAR", "VARCHAR"], iter(plans)), sys.stdout)
 
 
 def write_json(objects: Iterator[str], out: TextIO) -> None:
-    """Write an array of objects, one a line; NaN and infinities, which JSON lacks, become null."""
+    """Write an array of objects, one per line; NaN and infinities, which JSON lacks, become null."""
     separator = "[\n"
     for text in objects:
         has_nan = "NaN" in text or "Infinity" in text
@@ -217,7 +239,7 @@ def write_json(objects: Iterator[str], out: TextIO) -> None:
 
 
 def nan_to_null(text: str) -> str:
-    """A JSON text of DuckDB as valid JSON."""
+    """Turn DuckDB's JSON into valid JSON."""
     return json.dumps(json.loads(text, parse_constant=lambda _: None), ensure_ascii=False)
 
 
@@ -306,7 +328,7 @@ def shorten(text: str, width: int) -> str:
 
 
 def quote(text: str) -> str:
-    """An SQL string literal."""
+    """Return an SQL string literal."""
     return "'" + text.replace("'", "''") + "'"
 
 
@@ -316,7 +338,7 @@ def identifier(name: str) -> str:
 
 
 def one_line(error: Exception) -> str:
-    """A message of DuckDB without its copy of the statement."""
+    """Return a message of DuckDB without its copy of the statement."""
     message = " ".join(str(error).partition("\n\nLINE ")[0].split())
     if "Table with name" in message:
         message += "; SHOW TABLES lists the tables and views"
@@ -324,7 +346,7 @@ def one_line(error: Exception) -> str:
 
 
 def fail(kind: str, message: str) -> NoReturn:
-    """Tell the parent what is wrong and end."""
+    """Report an error to the parent and exit."""
     sys.stderr.write(json.dumps({"kind": kind, "message": message}))
     sys.stderr.flush()
     os._exit(1)

@@ -1,4 +1,4 @@
-"""The rows of flights in the index: taken from their parquet files and records, and compared with them."""
+"""The rows of flights in the index: copied from their parquet files and records, and compared with them."""
 
 from __future__ import annotations
 
@@ -8,23 +8,18 @@ import duckdb
 
 from inspect_pipeline.index.derived import insert_records
 from inspect_pipeline.index.flight_tables import ROW_TABLES
+from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, create_tables, first_line
+from inspect_pipeline.store.store import Damage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from inspect_pipeline.store.store import StoredFlight
 
-REBUILD = "run lsnet-pipe index rebuild"
-# Files of this storage version are read by DuckDB 1.5 and 2 alike.
-CONFIG: dict[str, str | bool | int | float | list[str]] = {
-    "storage_compatibility_version": "v1.5.0",
-    "memory_limit": "128MB",
-    "threads": "2",
-    "python_enable_replacements": "false",
-}
+PROCESS_AGAIN = "process its recording again"
 _FLIGHTS_PER_INSERT = 256
-# Folders of a store may be called line=L12, which says nothing about columns.
+# A folder of a store may have a name like line=L12, which is no hive partition.
 _PARQUET = "read_parquet(?, union_by_name := true, hive_partitioning := false)"
 _SET_CHANNEL_TIMES = f"""
 UPDATE channels SET first_ns = f.first_ns, last_ns = f.last_ns
@@ -40,7 +35,7 @@ WHERE channels.flight_id = f.flight_id AND channels.channel_id = f.channel_id
 def replace_rows(
     connection: duckdb.DuckDBPyConnection, removed: list[str], flights: list[StoredFlight]
 ) -> None:
-    """Remove the rows of some flights and insert those of others, in one transaction."""
+    """Delete the rows of some flights and insert those of others, in one transaction."""
     connection.begin()
     for table in ("flights", "channels", *ROW_TABLES):
         connection.execute(f"DELETE FROM {table} WHERE flight_id IN (SELECT unnest(?))", [removed])
@@ -80,51 +75,92 @@ def _flight_row(result_sha256: str, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _row_files(flights: Iterable[StoredFlight], table: str) -> list[str]:
-    """The files of a table; flights of before it was kept have none."""
+    """Return the files of a table; flights of older versions may have none."""
     name = f"{table}.parquet"
     return [str(flight.folder / name) for flight in flights if name in flight.record.files]
 
 
 def compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
-    """The flights whose rows in the index are not those of their parquet files."""
+    """Return a sentence about each flight whose rows in the index differ from its parquet files."""
     problems = []
     try:
         with duckdb.connect(index_path, read_only=True, config=CONFIG) as connection:
             for table in ROW_TABLES if flights else ():
                 if not (files := _row_files(flights, table)):
                     continue
-                # What files of before a column was kept lack is NULL in the index.
+                # A column that files of older versions lack is NULL in the index.
                 rows = f"((FROM {table} LIMIT 0) UNION ALL BY NAME FROM {_PARQUET})"
                 expected = _digests(connection, table, rows, [files])
                 found = _digests(connection, table, table, [])
                 differing = [i for i, digest in expected.items() if found.get(i) != digest]
-                problems += [f"{i}: other {table} in the index; {REBUILD}" for i in differing]
-    except duckdb.Error as error:
+                problems += [
+                    f"{i}: {table} in the index differ from the flight's; {REBUILD}" for i in differing
+                ]
+    except DATABASE_ERRORS as error:
         unreadable = find_unreadable(flights)
-        problems += [f"{folder}: unreadable; process its recording again" for folder in unreadable]
+        problems += [f"{one.folder}: {one.problem}" for one in unreadable]
         if not unreadable:
-            problems.append(f"{index_path}: {str(error).splitlines()[0]}; {REBUILD}")
+            problems.append(f"{index_path}: {first_line(error)}; {REBUILD}")
     return problems
 
 
-def find_unreadable(flights: list[StoredFlight]) -> list[Path]:
-    """The folders of the flights with a value in their parquet files that cannot be read."""
-    folders = []
-    with duckdb.connect(":memory:", config=CONFIG) as connection:
-        for flight in flights:
-            try:
-                for table in ROW_TABLES:
-                    if files := _row_files([flight], table):
-                        connection.execute(f"SELECT bit_xor(hash(row)) FROM {_PARQUET} AS row", [files])
-            except duckdb.Error:
-                folders.append(flight.folder)
-    return folders
+def find_damaged(
+    flights: Iterable[StoredFlight],
+    files_of: Callable[[StoredFlight], Iterable[str]] = lambda flight: flight.row_files,
+) -> list[Damage]:
+    """Return the flights with a file, else with rows, whose checksum differs; raises OSError."""
+    found = ((flight, flight.check_content(files_of(flight))) for flight in flights)
+    return [Damage(flight.folder, f"{problem}; {PROCESS_AGAIN}") for flight, problem in found if problem]
+
+
+def find_unreadable(flights: list[StoredFlight]) -> list[Damage]:
+    """Return the flights that cannot be inserted into an empty index, trying them one by one."""
+    damaged = []
+    for flight in flights:
+        try:
+            with duckdb.connect(":memory:", config=CONFIG) as connection:
+                create_tables(connection)
+                _insert_flights(connection, [flight])
+        except (*DATABASE_ERRORS, AttributeError, KeyError, TypeError, ValueError) as error:
+            damaged.append(Damage(flight.folder, f"unreadable ({str(error)[:200]!a}); {PROCESS_AGAIN}"))
+    return damaged
+
+
+def insert_checksums(connection: duckdb.DuckDBPyConnection) -> None:
+    """Store a checksum of every table whose rows cannot be compared with the flights' files."""
+    connection.execute("DELETE FROM checksums")
+    for table in _checked_tables(connection):
+        row = (table, *_checksum(connection, table), duckdb.__version__)
+        connection.execute("INSERT INTO checksums VALUES (?, ?, ?, ?)", row)
+
+
+def compare_checksums(index_path: Path) -> list[str]:
+    """Return a sentence about each table with other rows than were published; raises DATABASE_ERRORS."""
+    with duckdb.connect(index_path, read_only=True, config=CONFIG) as connection:
+        rows = connection.execute("FROM checksums WHERE duckdb_version = ?", [duckdb.__version__]).fetchall()
+        return [
+            f"{index_path}: the rows of {table} are not those that were published; {REBUILD}"
+            for table, n_rows, checksum, _ in rows
+            if _checksum(connection, table) != (n_rows, checksum)
+        ]
+
+
+def _checked_tables(connection: duckdb.DuckDBPyConnection) -> list[str]:
+    names = connection.execute("SELECT table_name FROM duckdb_tables() WHERE NOT internal ORDER BY 1")
+    return [name for (name,) in names.fetchall() if name not in (*ROW_TABLES, "checksums")]
+
+
+def _checksum(connection: duckdb.DuckDBPyConnection, table: str) -> tuple[int, str]:
+    """Return the number of rows and the sum of their hashes, which no order changes."""
+    sum_of_hashes = f"SELECT count(*), coalesce(sum(hash(row)), 0)::VARCHAR FROM {table} AS row"
+    n_rows, checksum = connection.execute(sum_of_hashes).fetchall()[0]
+    return n_rows, checksum
 
 
 def _digests(
     connection: duckdb.DuckDBPyConnection, table: str, source: str, values: list[list[str]]
 ) -> dict[str, tuple[int, int]]:
-    """The number of rows and a hash of all their values, per flight of `source`, which is like `table`."""
+    """Return the number of rows and a hash of their values per flight of `source`, shaped like `table`."""
     described = connection.execute(f"DESCRIBE {table}").fetchall()
     columns = ", ".join(name for name, *_ in described if not name.endswith("_utc"))
     rows = connection.execute(

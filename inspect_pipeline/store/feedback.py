@@ -1,6 +1,6 @@
-"""What people told the store, and what is never derived: reviews of anomalies and tags of flights.
+"""User feedback, which is never derived: reviews of anomalies and tags of flights.
 
-reviews.jsonl and tags.jsonl are logs, a line for each word; the latest word on a thing counts.
+reviews.jsonl and tags.jsonl are append-only logs, one line per decision; the latest one counts.
 """
 
 from __future__ import annotations
@@ -9,22 +9,26 @@ import json
 import os
 from dataclasses import MISSING, asdict, dataclass, fields
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from inspect_pipeline.atomic import store_errors
 from inspect_pipeline.errors import StoreError
+from inspect_pipeline.store.records import parse_json
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from inspect_pipeline.store.store import Store
 
-Verdict = Literal["confirmed", "dismissed", "open"]  # open: an earlier review is taken back
+Verdict = Literal["confirmed", "dismissed", "open"]  # open takes a decision back
 
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """What someone made of an anomaly, with what it was, by which it is found again in a new result."""
+    """A decision about an anomaly, with what identifies the anomaly in a new result of the flight.
+
+    reviewed_at is ISO 8601 in UTC; reviewed_by is empty in reviews of older versions.
+    """
 
     anomaly_id: str
     verdict: Verdict
@@ -41,7 +45,7 @@ class Review:
 
 @dataclass(frozen=True, slots=True)
 class Tag:
-    """A word on a flight; a value of None takes the tag away."""
+    """A tag of a flight; a value of None removes it."""
 
     flight_id: str
     key: str
@@ -52,7 +56,7 @@ class Tag:
 def add_review(
     store: Store, anomaly: dict[str, Any], verdict: Verdict, note: str, reviewed_by: str = ""
 ) -> Review:
-    """Add a review of an anomaly, given as a row of the table; raises StoreError."""
+    """Record a review of an anomaly, given as a row of the table; raises StoreError."""
     own = ("anomaly_id", "flight_id", "channel_id", "kind", "span_id", "start_ns", "end_ns")
     known = {name: anomaly[name] for name in own}
     review = Review(verdict=verdict, note=note, reviewed_at=_now(), reviewed_by=reviewed_by, **known)
@@ -61,19 +65,19 @@ def add_review(
 
 
 def add_tag(store: Store, flight_id: str, key: str, value: str | None) -> None:
-    """Note a tag of a flight, or with None that it has it no more; raises StoreError."""
+    """Record a tag of a flight, or with None its removal; raises StoreError."""
     _append(store.root / "tags.jsonl", asdict(Tag(flight_id, key, value, _now())))
 
 
 def load_reviews(store: Store) -> list[Review]:
-    """Return the latest review of each anomaly, unless it was taken back; raises StoreError."""
+    """Return the latest review of each anomaly, except those taken back; raises StoreError."""
     reviews = [Review(**line) for line in _read(store.root / "reviews.jsonl", Review)]
     latest = {review.anomaly_id: review for review in reviews}
     return [review for review in latest.values() if review.verdict != "open"]
 
 
 def load_tags(store: Store) -> list[Tag]:
-    """The tags that flights have; raises StoreError."""
+    """Return the current tags of all flights; raises StoreError."""
     tags = [Tag(**line) for line in _read(store.root / "tags.jsonl", Tag)]
     latest = {(tag.flight_id, tag.key): tag for tag in tags}
     return [tag for tag in latest.values() if tag.value is not None]
@@ -84,7 +88,7 @@ def _now() -> str:
 
 
 def _append(path: Path, line: dict[str, Any]) -> None:
-    """Add a whole line, also after one that a power cut tore; on the disk when this returns."""
+    """Append a line and flush it to the disk; a line that a power cut tore is ended first."""
     with store_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("ab+") as file:
@@ -99,24 +103,26 @@ def _append(path: Path, line: dict[str, Any]) -> None:
 
 
 def _read(path: Path, kind: type[Review | Tag]) -> list[dict[str, Any]]:
-    """The lines of a log; torn ones are passed over. Raises StoreError."""
+    """Read the lines of a log, skipping torn ones; raises StoreError."""
     if not path.exists():
         return []
     lines = []
     with store_errors(path):
         for text in path.read_bytes().splitlines():
             try:
-                line = json.loads(text)
+                line = parse_json(text)
             except ValueError:
                 continue
-            if not _fits(line, kind):
-                raise StoreError(path, f"a line of it is no {kind.__name__.lower()}", "mend or remove it")
+            if not _is_record(line, kind):
+                raise StoreError(path, f"a line is not a {kind.__name__.lower()}", "correct or remove it")
             lines.append(line)
     return lines
 
 
-def _fits(line: Any, kind: type[Review | Tag]) -> bool:
-    """Whether a line has the fields of a record; one of an older version lacks those with defaults."""
-    names = {field.name for field in fields(kind)}
-    needed = {field.name for field in fields(kind) if field.default is MISSING}
-    return isinstance(line, dict) and needed <= set(line) <= names
+def _is_record(line: Any, kind: type[Review | Tag]) -> bool:
+    """Whether a line has the fields of a dataclass; those with a default may be missing."""
+    if not isinstance(line, dict):
+        return False
+    known = {field.name: field for field in fields(kind)}
+    required = {name for name, field in known.items() if field.default is MISSING}
+    return required <= set(line) <= set(known) and line.get("verdict", "open") in get_args(Verdict)

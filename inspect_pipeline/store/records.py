@@ -1,7 +1,8 @@
-"""What is known of one flight: the records of its `result.json`, the truth from which the index is built."""
+"""The records of a flight's result.json, from which the index is built, and the result of `process`."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,16 +13,24 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-# Of what a flight's folder holds. Another one means that recordings are processed again, and that older
-# programs refuse the store; what is derived from flights, and migrations of the index alone, leave it.
+# Version of the files in a flight's folder. A new one has recordings processed again, and older programs
+# refuse the store. It stays the same for changes of derived data and for migrations of the index alone.
 RESULT_VERSION = 2
 ANNOTATED, SIDECAR = "annotated.mcap", "annotations.mcap"  # in a flight's folder
-_BEFORE_2: dict[str, Any] = {"warnings": (), "annotations": ANNOTATED}
+_DEFAULTS: dict[str, Any] = {"warnings": (), "annotations": ANNOTATED, "sha256": {}}  # of older versions
+
+
+def parse_json(content: bytes | str) -> Any:
+    """Parse JSON; raises ValueError also for nesting that is too deep."""
+    try:
+        return json.loads(content)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
 
 
 @dataclass(frozen=True, slots=True)
 class ModelRecord:
-    """The detector that made the segments; `score_threshold` is the least score that was kept."""
+    """The detector that found the segments; `score_threshold` is the lowest score kept."""
 
     model_id: str
     name: str
@@ -34,7 +43,7 @@ class ModelRecord:
 class RunRecord:
     """One `process` or `batch`: run_id is a UUID, started_at is in UTC, config is plain JSON.
 
-    command and tags, the tags of the run, are missing in records of before they were kept.
+    command and tags (of `batch --tag`) are None in records of older versions.
     """
 
     run_id: str
@@ -47,12 +56,12 @@ class RunRecord:
     tags: Mapping[str, str] | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values, times as ISO 8601 in UTC."""
+        """Return plain JSON values, times as ISO 8601 in UTC."""
         return asdict(self) | {"started_at": _to_iso(self.started_at)}
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> RunRecord:
-        """The record that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
+        """Read what `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
         return cls(**{**value, "started_at": datetime.fromisoformat(value["started_at"])})
 
 
@@ -70,11 +79,17 @@ class FlightTotals:
 
 @dataclass(frozen=True, slots=True)
 class FlightRecord:
-    """All that is known of a flight but its rows.
+    """Everything about a flight except its rows.
 
-    flight_id is the sha256 of the recording in hex, ingested_at is in UTC. `files` maps the name of each
-    file of the flight's folder to its size in bytes; the store fills it in when the flight is committed.
-    warnings: what is odd about the recording; annotations: the file that holds them, None without.
+    Attributes:
+        flight_id: sha256 of the recording in hex.
+        status: "recovered" from a damaged recording; "failed" when a camera has no frame that can be decoded.
+        reason: What was damaged or failed, else None.
+        warnings: What is unusual about the recording.
+        annotations: The file in the flight's folder that holds them, None without.
+        ingested_at: When the flight was processed, in UTC.
+        files: Size in bytes of each file in the flight's folder, set by the store at commit.
+        sha256: Checksum in hex of each of these files; empty in flights of older versions.
     """
 
     flight_id: str
@@ -90,18 +105,16 @@ class FlightRecord:
     channels: tuple[CameraChannel, ...]
     totals: FlightTotals
     files: Mapping[str, int] = field(default_factory=dict)
-
-    def with_files(self, files: Mapping[str, int]) -> FlightRecord:
-        """The same flight with the sizes of its files."""
-        return replace(self, files=dict(files))
+    sha256: Mapping[str, str] = field(default_factory=dict)
 
     def without_annotations(self) -> FlightRecord:
-        """The same flight after the file that holds its annotations was removed."""
+        """Return the record after the file that holds the annotations was removed."""
         files = {name: size for name, size in self.files.items() if name != self.annotations}
-        return replace(self, files=files, annotations=None)
+        sha256 = {name: digest for name, digest in self.sha256.items() if name != self.annotations}
+        return replace(self, files=files, sha256=sha256, annotations=None)
 
     def to_json(self) -> dict[str, Any]:
-        """The content of result.json: plain JSON values, times as ISO 8601 in UTC."""
+        """Return the content of result.json: plain JSON values, times as ISO 8601 in UTC."""
         fields = asdict(self)
         fields["ingested_at"] = _to_iso(self.ingested_at)
         fields["run"] = self.run.to_json()
@@ -109,11 +122,11 @@ class FlightRecord:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> FlightRecord:
-        """The record that `to_json` wrote, of this version or an older one.
+        """Read what `to_json` of this version or an older one wrote.
 
         Raises KeyError, TypeError or ValueError for anything else.
         """
-        value = _BEFORE_2 | dict(value)
+        value = _DEFAULTS | dict(value)
         fields = {name: value[name] for name in cls.__dataclass_fields__}
         fields["ingested_at"] = datetime.fromisoformat(value["ingested_at"])
         fields["run"] = RunRecord.from_json(value["run"])

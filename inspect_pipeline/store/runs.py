@@ -1,4 +1,4 @@
-"""What a `process` or a `batch` did: runs/<run_id>.json in the store, and the same for people's own tools.
+"""Summaries of runs of `process` and `batch`: runs/<run_id>.json in the store, and the hook of `--on-finish`.
 
 summary.json is the summary of the latest batch.
 """
@@ -9,13 +9,14 @@ import json
 import shlex
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.atomic import store_errors, write_whole
 from inspect_pipeline.errors import HookError
-from inspect_pipeline.store.records import RunRecord
+from inspect_pipeline.store.records import RunRecord, parse_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -32,12 +33,12 @@ _NO_ENDING = dict.fromkeys(
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Recordings by what became of them, and what was found in those that were processed.
+    """Numbers of recordings by outcome, and of frames and detections in the processed ones.
 
-    n_found: in the inbox; n_processed: new flights, of which n_recovered from damaged files; n_skipped:
-    done before; n_failed: refused by `process`; n_quarantined: given up in this run; n_in_quarantine: given
-    up earlier and unchanged; n_waiting: still being written; n_left: untouched, because of the limit, a stop
-    or an error.
+    n_found: in the inbox; n_processed: new flights, of which n_recovered from damaged files; n_skipped: done
+    before; n_failed: refused by `process`, or flights with status "failed", new or known; n_quarantined:
+    given up in this run; n_in_quarantine: given up earlier and unchanged; n_waiting: still being written;
+    n_left: untouched, because of the limit, a stop or an error.
     """
 
     n_found: int = 0
@@ -55,13 +56,13 @@ class Counts:
     n_lines: int = 0
 
     def plus(self, **more: int) -> Counts:
-        """The counts with some of them raised."""
+        """Return the counts with some of them increased."""
         return replace(self, **{name: getattr(self, name) + n for name, n in more.items()})
 
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """A run that has ended. finished_at is in UTC; error is the line told when it failed, else None."""
+    """A run that has ended. finished_at is in UTC; error is its error message, None without."""
 
     run: RunRecord
     finished_at: datetime
@@ -71,18 +72,18 @@ class RunSummary:
 
     @property
     def duration_s(self) -> float:
-        """From start to end."""
+        """Seconds from start to end."""
         return (self.finished_at - self.run.started_at).total_seconds()
 
     def to_json(self) -> dict[str, Any]:
-        """The content of summary.json: plain JSON values, times as ISO 8601 in UTC."""
+        """Return the content of summary.json: plain JSON values, times as ISO 8601 in UTC."""
         ending = {"finished_at": self.finished_at.isoformat(), "duration_s": round(self.duration_s, 3)}
         result = {"exit_code": self.exit_code, "error": self.error}
         return {**self.run.to_json(), **ending, **result, "counts": asdict(self.counts)}
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> RunSummary:
-        """The summary that `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
+        """Read what `to_json` wrote; raises KeyError, TypeError or ValueError for anything else."""
         run = {name: value[name] for name in RunRecord.__dataclass_fields__ if name in value}
         return cls(
             run=RunRecord.from_json(run),
@@ -96,14 +97,15 @@ class RunSummary:
 def summarize_process(
     run: RunRecord, results: Sequence[ProcessResult], *, n_found: int, n_failed: int, exit_code: int
 ) -> RunSummary:
-    """The summary of a `process` of `n_found` recordings that ends now."""
+    """Return the summary of a `process` of `n_found` recordings that ends now."""
+    by_status = Counter(result.status for result in results)
     done = [result for result in results if result.status != "skipped"]
     counts = Counts(
         n_found=n_found,
-        n_processed=len(done),
-        n_recovered=sum(result.status == "recovered" for result in done),
-        n_skipped=len(results) - len(done),
-        n_failed=n_failed,
+        n_processed=by_status["ok"] + by_status["recovered"],
+        n_recovered=by_status["recovered"],
+        n_skipped=by_status["skipped"],
+        n_failed=n_failed + by_status["failed"],
         n_left=n_found - len(results) - n_failed,
         n_frames=sum(result.n_frames for result in done),
         n_bad_frames=sum(result.n_bad_frames for result in done),
@@ -114,7 +116,7 @@ def summarize_process(
 
 
 def save_run(store: Store, summary: RunSummary) -> None:
-    """Keep a summary, as that of its run and, of a batch, as the latest; raises StoreError."""
+    """Save the summary of a run and, for a batch, also as the latest one; raises StoreError."""
     folder = store.root / "runs"
     text = json.dumps(summary.to_json(), indent=1) + "\n"
     with store_errors(folder):
@@ -125,19 +127,19 @@ def save_run(store: Store, summary: RunSummary) -> None:
 
 
 def load_runs(store: Store) -> list[RunSummary]:
-    """The summaries of all runs, oldest first; unreadable files are passed over. Raises StoreError."""
+    """Return the summaries of all runs, oldest first, skipping unreadable files; raises StoreError."""
     summaries = []
     with store_errors(store.root):
         for path in (store.root / "runs").glob("*.json"):
             try:
-                summaries.append(RunSummary.from_json(json.loads(path.read_bytes())))
-            except (KeyError, TypeError, ValueError):
+                summaries.append(RunSummary.from_json(parse_json(path.read_bytes())))
+            except (AttributeError, KeyError, TypeError, ValueError):
                 continue
     return sorted(summaries, key=lambda summary: summary.run.started_at)
 
 
 def run_rows(runs: Iterable[RunRecord], summaries: Iterable[RunSummary]) -> list[dict[str, Any]]:
-    """The rows of the table runs of the index, in plain JSON: of runs that made flights, or have ended."""
+    """Return the rows of the table runs, in plain JSON: runs that made flights, or have ended."""
     flown = {run.run_id: run for run in runs}
     rows = {run_id: {**run.to_json(), **_NO_ENDING} for run_id, run in flown.items()}
     for summary in summaries:
@@ -152,7 +154,7 @@ def notify(command: str, summary: RunSummary) -> None:
     try:
         words = shlex.split(command)
         if not words:
-            raise ValueError("it is empty")  # noqa: TRY301 - told as all that is wrong with it
+            raise ValueError("it is empty")  # noqa: TRY301 - reported like the others
         subprocess.run(
             words,
             input=json.dumps(summary.to_json()),

@@ -1,8 +1,8 @@
 """The store: one folder per flight, written whole or not at all, with locks and a log beside.
 
 flights/<16 hex of flight_id>/   annotated.mcap, *.parquet and, last, result.json
-spans.geojson, rules.toml        what people told, and reviews.jsonl and tags.jsonl: never derived
-index.duckdb                     derived from all of these, see index.py
+spans.geojson, rules.toml        user input, as are reviews.jsonl and tags.jsonl: never derived
+index.duckdb                     derived from all of these, see index/publish.py
 manifest.jsonl                   a log, never read back
 staging/                         flights being written
 lock, publish.lock               held by `batch` and by a publish
@@ -18,10 +18,10 @@ import secrets
 import shutil
 import stat
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from inspect_pipeline.atomic import (
     OUT_OF_SPACE,
@@ -35,17 +35,29 @@ from inspect_pipeline.atomic import (
     write_whole,
 )
 from inspect_pipeline.errors import StoreBusyError, StoreVersionError, StoreWriteError
-from inspect_pipeline.store.records import ANNOTATED, RESULT_VERSION, FlightRecord
+from inspect_pipeline.store.records import ANNOTATED, RESULT_VERSION, FlightRecord, parse_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 _RESULT = "result.json"
 
 
 def store_path(option: Path | None) -> Path:
-    """The store's folder: `option`, else LSNET_PIPE_STORE, else ./inspections."""
+    """Return the store's folder: the given one, else LSNET_PIPE_STORE, else ./inspections."""
     return option or Path(os.environ.get("LSNET_PIPE_STORE") or "inspections")
+
+
+def as_store(store: Store | Path | str) -> Store:
+    """Return a store, given as such or by its folder."""
+    return store if isinstance(store, Store) else Store(store)
+
+
+class Damage(NamedTuple):
+    """A folder among the flights that cannot be used, and why."""
+
+    folder: Path
+    problem: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +68,28 @@ class StoredFlight:
     record: FlightRecord
     result_sha256: str
 
-    def is_whole(self) -> bool:
-        """Whether every file of the flight is there with the size it was written with."""
-        return all(
-            _size_bytes(f"{self.folder}/{name}") == size_bytes
-            for name, size_bytes in self.record.files.items()
-        )
+    @property
+    def row_files(self) -> list[str]:
+        """The names of its parquet files."""
+        return [name for name in self.record.files if name.endswith(".parquet")]
+
+    def check_sizes(self) -> str | None:
+        """Return a phrase about a file that is missing or has another size than it was written with."""
+        for name, size_bytes in self.record.files.items():
+            found = _size_bytes(f"{self.folder}/{name}")
+            if found != size_bytes:
+                return f"{name} is missing" if found is None else f"{name} has another size"
+        return None
+
+    def check_content(self, names: Iterable[str]) -> str | None:
+        """Return a phrase about a file whose checksum differs; raises OSError.
+
+        Files of older versions have no checksum and pass.
+        """
+        for name in names:
+            if name in self.record.sha256 and file_sha256(self.folder / name) != self.record.sha256[name]:
+                return f"the checksum of {name} differs"
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +100,21 @@ class Staging:
     _store: Store
 
     def commit(self, record: FlightRecord) -> Path:
-        """Make the flight visible, in place of an older result of it, and return its folder.
+        """Make the flight visible, replacing an older result of it, and return its folder.
 
         Everything is on the disk before result.json is written, and result.json before the folder
-        gets its name. Raises StoreError.
+        gets its name. Sizes and checksums of the files are added to the record. Raises StoreError.
         """
         final = self._store.flight_dir(record.flight_id)
         with store_errors(self._store.root):
             files = {p.relative_to(self.path).as_posix(): p for p in self.path.rglob("*") if p.is_file()}
             fsync_tree(self.path)
-            sized = record.with_files({name: files[name].stat().st_size for name in sorted(files)})
-            (self.path / _RESULT).write_text(_to_text(sized), encoding="utf-8")
+            complete = replace(
+                record,
+                files={name: files[name].stat().st_size for name in sorted(files)},
+                sha256={name: file_sha256(files[name]) for name in sorted(files)},
+            )
+            (self.path / _RESULT).write_text(_to_text(complete), encoding="utf-8")
             fsync_path(self.path / _RESULT)
             fsync_path(self.path)
             with self._store.changing_flights():
@@ -95,44 +127,75 @@ class Staging:
 
 
 class Store:
-    """The folder `root`; nothing is made on disk before the first write.
+    """The folder `root`; nothing is created before the first write.
 
     Raises StoreWriteError for a name that DuckDB would take for a pattern or for options.
     """
 
-    def __init__(self, root: Path) -> None:
-        self.root = root.absolute()
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root).absolute()
         if re.search(r"[?*\\\n]", str(self.root)):
-            raise StoreWriteError(
-                self.root, "a store cannot be in a folder of this name", "use another folder"
-            )
+            problem = "a store cannot have a name with ? * \\ or a line end"
+            raise StoreWriteError(self.root, problem, "use another folder")
         self.index_path = self.root / "index.duckdb"
         self._flights = self.root / "flights"
         self._staging = self.root / "staging"
 
     def flight_dir(self, flight_id: str) -> Path:
-        """The folder of a flight, there or not; raises ValueError unless given a sha256 in hex."""
+        """Return the folder of a flight, existing or not; raises ValueError unless given a sha256 in hex."""
         if not re.fullmatch(r"[0-9a-f]{64}", flight_id):
             raise ValueError(f"not a flight_id: {flight_id!r}")
         return self._flights / flight_id[:16]
 
-    def load_flight(self, flight_id: str) -> FlightRecord | None:
-        """The record of a flight, or None when the store has no whole result of it."""
+    def find_flight(self, flight_id: str) -> StoredFlight | None:
+        """Return a flight whose files are all there with their sizes, else None; raises StoreError."""
         stored = self._load(self.flight_dir(flight_id))
-        return stored.record if stored and stored.is_whole() else None
+        return stored if stored and stored.check_sizes() is None else None
 
-    def scan(self) -> tuple[list[StoredFlight], list[Path]]:
-        """All flights by time, and the folders without a readable result.json; raises StoreError."""
+    def load_flight(self, flight_id: str) -> FlightRecord | None:
+        """Return the record of a flight whose rows are undamaged, by their checksums, else None.
+
+        Raises StoreError.
+        """
+        stored = self.find_flight(flight_id)
+        with store_errors(self.root):
+            return stored.record if stored and stored.check_content(stored.row_files) is None else None
+
+    def scan(self) -> tuple[list[StoredFlight], list[Damage]]:
+        """Return all flights by time, and the folders that cannot be used; raises StoreError.
+
+        Sizes of files are checked, their content is not.
+        """
         with store_errors(self.root):
             folders = sorted(self._flights.iterdir()) if self._flights.exists() else []
-        found = {folder: self._load(folder) for folder in folders}
-        flights = [stored for stored in found.values() if stored]
+        flights, damaged = [], []
+        for folder in folders:
+            if folder.name.startswith("."):  # left by a file manager
+                continue
+            stored = self._load(folder)
+            if problem := _find_problem(folder, stored):
+                damaged.append(Damage(folder, problem))
+            elif stored:
+                flights.append(stored)
         flights.sort(key=lambda stored: (stored.record.totals.start_ns or 0, stored.record.flight_id))
-        return flights, [folder for folder, stored in found.items() if stored is None]
+        return flights, damaged
+
+    @contextmanager
+    def lock_flight(self, flight_id: str) -> Iterator[None]:
+        """Keep other processes from working on a flight, waiting for one that does; raises StoreError."""
+        path = self._staging / f"{self.flight_dir(flight_id).name}.lock"
+        with store_errors(self.root):
+            self._staging.mkdir(parents=True, exist_ok=True)
+            lock = acquire_lock(path, wait=True)
+        with lock:
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
 
     @contextmanager
     def write_flight(self, flight_id: str) -> Iterator[Staging]:
-        """A folder to write a flight in; it is gone after the block, and so is all in it, unless committed.
+        """Yield a folder to write a flight in; without a commit it is removed after the block.
 
         Leftovers of killed processes are removed first. Raises StoreError.
         """
@@ -151,7 +214,7 @@ class Store:
                 raise
 
     def remove_annotated_copy(self, stored: StoredFlight) -> None:
-        """Remove the annotated copy of a flight, which its record says first; raises StoreError.
+        """Remove the annotated copy of a flight, after noting it in its record; raises StoreError.
 
         A flight that was replaced meanwhile keeps its own.
         """
@@ -165,7 +228,7 @@ class Store:
         self.append_manifest("annotated copy removed", flight_id=stored.record.flight_id)
 
     def remove_flight(self, flight_id: str) -> None:
-        """Remove a flight, at once for all readers of the store; raises StoreError."""
+        """Remove a flight in one step; raises StoreError."""
         folder = self.flight_dir(flight_id)
         path = self._staging / f"{folder.name}-{secrets.token_hex(4)}"
         with store_errors(self.root):
@@ -177,14 +240,14 @@ class Store:
 
     @contextmanager
     def changing_flights(self) -> Iterator[None]:
-        """Keep every other process from putting a flight in place or changing one; raises OSError."""
+        """Keep other processes from adding or changing flights; raises OSError."""
         self._staging.mkdir(parents=True, exist_ok=True)
         with acquire_lock(self._staging / "mutex", wait=True):
             yield
 
     @contextmanager
     def _own(self, path: Path) -> Iterator[None]:
-        """Hold the lock beside the staging folder `path`, which tells others that its process lives."""
+        """Hold the lock beside the staging folder `path`, which shows that its process is alive."""
         with store_errors(self.root), self.changing_flights():
             self._discard_dead()
             lock = acquire_lock(_lock_of(path), wait=False)
@@ -195,7 +258,7 @@ class Store:
                 self._discard(path)
 
     def remove_leftovers(self) -> None:
-        """Remove what killed processes left behind; live ones keep theirs. Raises StoreError."""
+        """Remove staging folders of dead processes; raises StoreError."""
         if self._staging.exists():
             with store_errors(self.root), self.changing_flights():
                 self._discard_dead()
@@ -215,17 +278,16 @@ class Store:
 
     @contextmanager
     def batch_lock(self) -> Iterator[None]:
-        """Keep every other batch out; raises StoreBusyError, naming the holder, or StoreError."""
+        """Hold the lock of a batch; raises StoreBusyError, naming the holder, or StoreError."""
         path = self.root / "lock"
         with store_errors(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
             try:
                 file = acquire_lock(path, wait=False)
             except BlockingIOError:
-                holder = path.read_text(encoding="utf-8").strip()
-                raise StoreBusyError(
-                    self.root, f"held by another batch, {holder}", "wait for its end"
-                ) from None
+                holder = path.read_text(encoding="utf-8", errors="replace").strip()
+                problem = f"held by another batch, {holder}"
+                raise StoreBusyError(self.root, problem, "wait until it ends") from None
         with file:
             file.truncate(0)
             file.write(f"pid {os.getpid()} since {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC\n")
@@ -234,7 +296,7 @@ class Store:
 
     @contextmanager
     def publish_lock(self) -> Iterator[None]:
-        """Keep every other publish out, waiting for one that is under way; raises StoreError."""
+        """Hold the lock of a publish, waiting for one under way; raises StoreError."""
         with store_errors(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
             file = acquire_lock(self.root / "publish.lock", wait=True)
@@ -242,7 +304,7 @@ class Store:
             yield
 
     def append_manifest(self, event: str, **fields: object) -> None:
-        """Add a line to manifest.jsonl: the time, what happened, and to what; raises StoreError."""
+        """Add a line to manifest.jsonl: time, event, fields; raises StoreError."""
         line = json.dumps({"at": datetime.now(UTC).isoformat(), "event": event, **fields})
         with store_errors(self.root), (self.root / "manifest.jsonl").open("a", encoding="utf-8") as file:
             file.write(line + "\n")
@@ -250,11 +312,11 @@ class Store:
     def _load(self, folder: Path) -> StoredFlight | None:
         try:
             content = (folder / _RESULT).read_bytes()
-            value = json.loads(content)
+            value = parse_json(content)
             if value["result_version"] > RESULT_VERSION:
                 raise StoreVersionError(folder / _RESULT, "written by a newer version", "upgrade lsnet-pipe")
             record = FlightRecord.from_json(value)
-        except (FileNotFoundError, NotADirectoryError, KeyError, TypeError, ValueError):
+        except (FileNotFoundError, NotADirectoryError, AttributeError, KeyError, TypeError, ValueError):
             return None
         except OSError as error:
             raise explain_os_error(folder, error) from error
@@ -265,8 +327,25 @@ def _to_text(record: FlightRecord) -> str:
     return json.dumps(record.to_json(), indent=1) + "\n"
 
 
+def _find_problem(folder: Path, stored: StoredFlight | None) -> str | None:
+    """Return a phrase about what is wrong with a folder among the flights."""
+    if stored is None:
+        return "its result.json is missing or cannot be read; process its recording again"
+    name = stored.record.flight_id[:16]
+    if name != folder.name:
+        return f"a copy of flight {name} under another name; remove it, or rename it if that one is missing"
+    problem = stored.check_sizes()
+    return f"{problem}; process its recording again" if problem else None
+
+
+def file_sha256(path: Path) -> str:
+    """Return the sha256 of a file in hex; raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def _size_bytes(path: str) -> int | None:
-    """Of a file, None of what is none; a string, since this is what looking at a large store waits for."""
+    """Return the size of a file, None for anything else; a str, as scans of large stores wait for this."""
     try:
         found = os.stat(path)  # noqa: PTH116
     except (FileNotFoundError, NotADirectoryError):

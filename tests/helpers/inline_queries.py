@@ -27,7 +27,7 @@ def answer_here(monkeypatch: pytest.MonkeyPatch) -> None:
 def _run(job: dict[str, Any], _timeout_s: float, sink: IO[bytes]) -> None:
     with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()) as printed:
         written = Path(folder) / "rows"
-        if job["format"] == "csv":
+        if job["format"] in ("csv", "parquet"):
             job = {**job, "copy_path": str(written)}
         query_child.check_statement(job["sql"])
         with query_child.open_index(job) as connection:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 # What differs between two runs over the same recordings, by nature, or is about runs.
 _NOT_COMPARED = {
+    "checksums": None,
     "flights": "EXCLUDE (run_id, ingested_at, result_sha256)",
     "frames": "EXCLUDE (infer_ms)",
     "runs": None,

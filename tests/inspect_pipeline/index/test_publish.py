@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import duckdb
@@ -12,14 +13,17 @@ import flights
 import pytest
 
 from inspect_pipeline.errors import StoreError, StoreVersionError
-from inspect_pipeline.index import flight_tables as tables
 from inspect_pipeline.index import publish as index
+from inspect_pipeline.index import schema
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store.feedback import add_tag
+from inspect_pipeline.store.runs import save_run, summarize_process
 from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from inspect_pipeline.store.records import RunRecord
 
 TABLES = ("models", "runs", "flights", "channels", "frames", "segments", "lines")
 DERIVED = ("coverage", "coverage_bins", "coverage_gaps", "conductor_counts", "anomalies", "inputs")
@@ -188,9 +192,9 @@ def test_a_log_that_someone_left_is_not_replayed(store: Store) -> None:
         ("DELETE FROM flights WHERE source_uri LIKE '%/a.mcap'", "not in the index"),
         ("UPDATE flights SET flight_id = 'f' || flight_id", "in the index"),
         ("UPDATE flights SET result_sha256 = 'x' WHERE source_uri LIKE '%/a.mcap'", "older in the index"),
-        ("DELETE FROM frames WHERE frame_idx = 2", "other frames"),
-        ("INSERT INTO segments BY NAME SELECT * FROM segments LIMIT 1", "other segments"),
-        ("UPDATE lines SET score = 0.7 WHERE frame_idx = 3", "other lines"),
+        ("DELETE FROM frames WHERE frame_idx = 2", "frames in the index differ"),
+        ("INSERT INTO segments BY NAME SELECT * FROM segments LIMIT 1", "segments in the index differ"),
+        ("UPDATE lines SET score = 0.7 WHERE frame_idx = 3", "lines in the index differ"),
     ],
 )
 def test_verify_finds_any_difference(store: Store, change: str, words: str) -> None:
@@ -201,14 +205,15 @@ def test_verify_finds_any_difference(store: Store, change: str, words: str) -> N
     assert all(words in problem for problem in problems)
 
 
-def test_a_damaged_flight_is_told_and_left_out(store: Store) -> None:
+def test_a_damaged_flight_is_reported_and_left_out(store: Store) -> None:
     folder = store.flight_dir(flights.flight_id_of("a"))
     (folder / "segments.parquet").write_bytes(b"cut")
-    assert any("damaged" in problem for problem in index.verify(store))
+    assert any("segments.parquet has another size" in problem for problem in index.verify(store))
     change = index.publish(store)
-    assert change.damaged == (folder,)
+    assert [one.folder for one in change.damaged] == [folder]
+    assert "segments.parquet has another size; process its recording again" in change.damaged[0].problem
     assert ask(store, "SELECT count(*) FROM flights") == [(1,)]
-    assert index.publish(store) == index.IndexChange(1, 0, 0, (folder,))
+    assert index.publish(store) == index.IndexChange(1, 0, 0, change.damaged)
     flights.write_flight(store, "a", 3)
     index.publish(store)
     assert index.verify(store) == ()
@@ -218,10 +223,92 @@ def test_a_flight_with_flipped_bits_is_left_out(store: Store) -> None:
     folder = store.flight_dir(flights.flight_id_of("a"))
     path = folder / "segments.parquet"
     path.write_bytes(b"\xff" * path.stat().st_size)
-    assert any("unreadable" in problem for problem in index.verify(store))
+    problem = "the checksum of segments.parquet differs; process its recording again"
+    assert index.verify(store) == (f"{folder}: {problem}",)
     change = index.rebuild(store)
-    assert change.damaged == (folder,)
+    assert [one.folder for one in change.damaged] == [folder]
     assert ask(store, "SELECT count(*) FROM flights") == [(1,)]
+
+
+@pytest.mark.parametrize("table", ["frames", "segments", "lines", "tracks"])
+@pytest.mark.parametrize("has_checksums", [True, False])
+def test_one_flipped_byte_costs_one_flight(store: Store, table: str, has_checksums: bool) -> None:
+    """Whichever file it is in; a flight of before checksums were kept is left out where DuckDB notices."""
+    folder = store.flight_dir(flights.flight_id_of("a"))
+    path = folder / f"{table}.parquet"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    if has_checksums:
+        assert index.verify(store) == (
+            f"{folder}: the checksum of {path.name} differs; process its recording again",
+        )
+        assert store.load_flight(flights.flight_id_of("a")) is None
+        assert [one.folder for one in index.rebuild(store).damaged] == [folder]
+        assert set(flights.versions_in_index(store)) == {"b"}
+        assert len(index.verify(store)) == 1
+    else:
+        result = json.loads((folder / "result.json").read_text())
+        del result["sha256"]
+        (folder / "result.json").write_text(json.dumps(result))
+        index.rebuild(store)
+        assert "b" in flights.versions_in_index(store)
+
+
+def test_a_result_of_wrong_types_costs_one_flight(store: Store) -> None:
+    result = store.flight_dir(flights.flight_id_of("a")) / "result.json"
+    for field, value in (("totals", {"n_frames": "many"}), ("channels", [{"channel_id": "x"}]), ("model", 5)):
+        whole = json.loads(result.read_text())
+        part = whole[field]
+        changed = part | value if isinstance(part, dict) and isinstance(value, dict) else value
+        if field == "channels":
+            changed = [part[0] | {"channel_id": "x"}]
+        result.write_text(json.dumps(whole | {field: changed}))
+        assert [one.folder for one in index.rebuild(store).damaged] == [result.parent]
+        assert set(flights.versions_in_index(store)) == {"b"}
+        result.write_text(json.dumps(whole))
+
+
+def test_a_damaged_annotated_copy_is_found(store: Store) -> None:
+    path = store.flight_dir(flights.flight_id_of("a")) / "annotated.mcap"
+    path.write_bytes(b"x" + path.read_bytes()[1:])
+    assert index.verify(store) == (
+        f"{path.parent}: the checksum of annotated.mcap differs; process its recording again",
+    )
+    assert index.rebuild(store).damaged == ()  # its rows are whole
+
+
+def test_a_copied_folder_counts_once(store: Store) -> None:
+    folder = store.flight_dir(flights.flight_id_of("a"))
+    before = content(store)
+    shutil.copytree(folder, folder.with_name("backup"))
+    (folder.parent / ".DS_Store").touch()
+    (damage,) = index.rebuild(store).damaged
+    assert damage.folder == folder.with_name("backup")
+    assert damage.problem.startswith(f"a copy of flight {folder.name} under another name; remove it")
+    assert content(store) == before
+    assert len(index.verify(store)) == 1
+
+
+def test_a_rebuild_after_idle_nights_is_not_needed(store: Store) -> None:
+    """DuckDB 2 trims free blocks at the end of the file: its size says nothing about its content."""
+    for night in range(6):
+        save_run(store, summarize_process(_run(night), [], n_found=0, n_failed=0, exit_code=0))
+        assert index.publish(store).n_written == 0
+        assert index.verify(store) == ()
+
+
+def _run(number: int) -> RunRecord:
+    return replace(flights.RUN, run_id=f"{number:08}-0b1e-4c62-9d2b-2f0f8f2d9a11")
+
+
+def test_verify_compares_what_is_derived(store: Store) -> None:
+    with duckdb.connect(store.index_path) as connection:
+        connection.execute("UPDATE coverage SET covered = covered + 1")
+    (problem,) = index.verify(store)
+    assert "the rows of coverage are not those that were published" in problem
+    index.rebuild(store)
+    assert index.verify(store) == ()
 
 
 def test_an_old_flight_without_tracks_is_not_taken_for_a_damaged_one(store: Store) -> None:
@@ -230,9 +317,9 @@ def test_an_old_flight_without_tracks_is_not_taken_for_a_damaged_one(store: Stor
     (damaged / "segments.parquet").write_bytes(b"\xff" * (damaged / "segments.parquet").stat().st_size)
     (old / "tracks.parquet").unlink()
     result = json.loads((old / "result.json").read_text())
-    del result["files"]["tracks.parquet"]
+    del result["files"]["tracks.parquet"], result["sha256"]
     (old / "result.json").write_text(json.dumps(result))
-    assert index.rebuild(store).damaged == (damaged,)
+    assert [one.folder for one in index.rebuild(store).damaged] == [damaged]
 
 
 def test_names_that_are_no_text_are_published(store: Store) -> None:
@@ -281,7 +368,7 @@ def test_an_older_index_is_migrated(store: Store, monkeypatch: pytest.MonkeyPatc
     """As the next version of the program would: one more migration, applied even when no flight is new."""
     number = len(MIGRATIONS) + 1
     later = {f"{number:04}_later.sql": "ALTER TABLE flights ADD COLUMN pilot VARCHAR DEFAULT 'unknown'"}
-    for module in (index, tables):
+    for module in (index, schema):
         monkeypatch.setattr(module, "MIGRATIONS", (*MIGRATIONS, *later))
         monkeypatch.setattr(module, "read_schema", lambda name: later.get(name) or read_schema(name))
     assert index.publish(store).n_written == 0

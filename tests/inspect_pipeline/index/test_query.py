@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import datetime
 import io
 import json
+import math
 import subprocess
 import sys
 import time
@@ -24,6 +26,7 @@ from inspect_pipeline.errors import QueryError, StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index import query_child
 from inspect_pipeline.index.query import QueryLimits, run_query
+from inspect_pipeline.index.query import query as query_rows
 from inspect_pipeline.resources import MIGRATIONS
 from inspect_pipeline.store.store import Store
 
@@ -120,10 +123,84 @@ def test_table(ask_child: Any) -> None:
     ]
 
 
-def test_a_long_table_is_cut_and_says_so(ask: Any) -> None:
-    text = ask("FROM range(100000)", "table", limits=QueryLimits(max_rows=10))
+def test_a_long_table_is_cut_on_the_screen_only(
+    store: Store, ask: Any, capsysbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    sql = "SELECT range, repeat('x', 200) AS long FROM range(5000)"
+    run_query(store.index_path, sql, limits=QueryLimits(max_rows=10))
+    text = capsysbinary.readouterr().out.decode()
     assert text.count("\n") == 13
+    assert "…" in text
     assert text.endswith("(the first 10 rows; a file gets all of them)\n")
+    text = ask(sql, "table")
+    assert text.count("x" * 200) == 5000
+    assert text.endswith("(5000 rows)\n")
+
+
+def test_a_closed_stdout(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    with pytest.raises(QueryError, match="stdout is closed"):
+        run_query(store.index_path, "SELECT 1")
+
+
+def test_rows_for_python(store: Store) -> None:
+    """The store by its folder; the values as Python, Arrow and pandas have them."""
+    sql = """
+        SELECT 7 AS n, NULL AS nothing, 'é' AS text, [1.5, NULL] AS list, {'x': 1} AS struct,
+               TIMESTAMP '2026-05-04 09:30:00' AS time, DATE '2026-05-04' AS day, 'NaN'::DOUBLE AS nan
+    """
+    result = query_rows(str(store.root), sql)
+    assert result.columns == ["n", "nothing", "text", "list", "struct", "time", "day", "nan"]
+    assert len(result) == 1
+    (row,) = result.fetchall()
+    day = datetime.date(2026, 5, 4)
+    assert row[:-1] == (7, None, "é", [1.5, None], {"x": 1}, datetime.datetime(2026, 5, 4, 9, 30), day)
+    assert math.isnan(row[-1])
+    assert result.arrow().column("n").to_pylist() == [7]
+    assert result.df().shape == (1, 8)
+    assert query_rows(store, "SELECT 1 AS x WHERE false").fetchall() == []
+    assert len(query_rows(store.root, "FROM range(300000)")) == 300_000
+    assert "physical_plan" in query_rows(store, "EXPLAIN SELECT 1").fetchall()[0]
+
+
+@pytest.mark.parametrize(
+    ("sql", "words"),
+    [
+        ("DROP TABLE flights", "one SELECT"),
+        ("SELECT 1; SELECT 2", "one SELECT"),
+        ("FROM read_text('/etc/passwd')", "disabled"),
+        ("SELEC 1", "syntax error"),
+        ("SELECT count(*) FROM range(100000000000) a", "stopped after 1 s"),
+        ("SELECT repeat('x', 2000000000)", "memory"),
+    ],
+)
+def test_rows_for_python_are_as_safe_as_the_command(store: Store, sql: str, words: str) -> None:
+    with pytest.raises(QueryError, match=words):
+        query_rows(store, sql, limits=QueryLimits(timeout_s=1 if "100000000000" in sql else 20))
+
+
+def test_a_data_frame_without_pandas(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = query_rows(store, "SELECT 1")
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(QueryError, match="pip install pandas"):
+        result.df()
+
+
+def test_an_index_that_another_program_writes_to(store: Store) -> None:
+    """The remedy is to close it there, not to make the index anew."""
+    code = "import duckdb, sys; c = duckdb.connect(sys.argv[1]); print(flush=True); sys.stdin.read()"
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", code, str(store.index_path)]
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        words = "another program has it open for writing; close it"
+        for action in (lambda: query_rows(store, "SELECT 1"), lambda: index.select(store, "SELECT 1")):
+            with pytest.raises(StoreError, match=words):
+                action()
+        with pytest.raises(StoreError, match=words):
+            index.verify(store)
+        holder.kill()
 
 
 def test_order_and_number_of_many_rows(ask: Any) -> None:
@@ -314,7 +391,7 @@ def test_an_output_that_cannot_be_written(
 ) -> None:
     answer_here(monkeypatch)
     for output in (tmp_path / "missing" / "rows", tmp_path):
-        with pytest.raises(QueryError, match="; name another file"):
+        with pytest.raises(QueryError, match="use another file"):
             run_query(store.index_path, "SELECT 1", output=output)
 
 

@@ -13,7 +13,8 @@ from flights import versions, versions_in_index
 from stores import contents
 
 from inspect_pipeline.index import publish as index
-from inspect_pipeline.index.flight_tables import ROW_TABLES, create_tables
+from inspect_pipeline.index.flight_tables import ROW_TABLES
+from inspect_pipeline.index.schema import create_tables
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store.records import RESULT_VERSION
 from inspect_pipeline.store.store import Store

@@ -266,7 +266,8 @@ def test_damaged_results_are_no_results(store: Store) -> None:
     for damaged in ("", "[]", "{}", whole[:100], whole.replace('"run_id"', '"nur_id"'), "null"):
         result.write_text(damaged)
         assert store.load_flight(flight_id) is None
-        assert store.scan() == ([], [result.parent])
+        found, unreadable = store.scan()
+        assert (found, [one.folder for one in unreadable]) == ([], [result.parent])
     result.write_text(whole.replace('"result_version": 2', '"result_version": 3'))
     with pytest.raises(StoreVersionError, match="upgrade") as caught:
         store.load_flight(flight_id)

@@ -19,6 +19,14 @@ def pack(
         ),
     ],
     target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to write (MCAP).")],
+    timezone: Annotated[
+        str | None,
+        typer.Option(metavar="ZONE", help="Of clocks that say none: Europe/Berlin, +02:00. Default UTC."),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="When a video starts, as 2025-10-09T08:53:20 or with +02:00."),
+    ] = None,
 ) -> None:
     """Convert photographs or video of a drone to a recording.
 
@@ -31,9 +39,17 @@ def pack(
       lsnet-pipe pack DJI_0001.MP4 flight.mcap
     """
     check_suffix(target, (".mcap",))
-    from inspect_pipeline.convert import pack as packing
+    from datetime import datetime
 
-    result = packing.pack(source, target)
+    from inspect_pipeline.convert import pack as packing
+    from inspect_pipeline.convert.times import parse_zone
+
+    try:
+        zone = parse_zone(timezone) if timezone else None
+        begin = datetime.fromisoformat(start) if start else None
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    result = packing.pack(source, target, zone=zone, start=begin)
     for warning in result.warnings:
         warn(warning)
     print_line(f"{target}: {', '.join(f'{count} {what}' for what, count in result.counts.items())}")

@@ -1,4 +1,4 @@
-"""What a drone writes into its JPEGs: when, where and which way, by EXIF and DJI's XMP."""
+"""Read what a drone writes into its JPEGs: EXIF, and the XMP of DJI."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import ParseError, fromstring
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from inspect_pipeline.geometry.attitude import Position, YawPitchRoll, position
@@ -17,20 +19,35 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-_DJI = re.compile(rb'drone-dji:(\w+)(?:="([^"]*)"|>([^<]*)<)')
+_DJI = "{http://www.dji.com/drone-dji/1.0/}"
 _OFFSET = re.compile(r"([+-])(\d\d):(\d\d)")
 _FILM_DIAGONAL_MM = math.hypot(36, 24)
+# By the letter that DJI puts behind a picture's number, and by the XMP field ImageSource.
+_LENS_OF_LETTER = {"W": "wide", "Z": "zoom", "T": "thermal", "V": "visible", "S": "screen"}
+_LENS_OF_SOURCE = {"WideCamera": "wide", "ZoomCamera": "zoom", "InfraredCamera": "thermal"}
+_LETTER = re.compile(r"\d_([A-Z])$")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraKey:
+    """What tells the cameras of a folder apart; the size is (height, width), texts may be empty."""
+
+    lens: str
+    model: str
+    lens_model: str
+    image_size: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class PhotographTags:
-    """What a photograph says of itself; what it does not say is None.
+    """The tags of a photograph; None where it has none.
 
-    clock is the camera's own, without a zone; zone is that of the clock, by EXIF; gps_clock is in UTC.
-    image_size is (height, width). focal_px is by the focal length for 35 mm film. height_m is above take-off.
+    clock: of the camera, without a time zone; zone: its offset from UTC by EXIF; gps_clock: UTC.
+    focal_px: by the focal length for 35 mm film. height_m: above take-off.
+    has_bad_xmp: its XMP is damaged or not plain XML, and was not used.
     """
 
-    image_size: tuple[int, int]
+    camera: CameraKey
     clock: datetime | None
     zone: timedelta | None
     gps_clock: datetime | None
@@ -38,10 +55,11 @@ class PhotographTags:
     gimbal: YawPitchRoll | None
     focal_px: float | None
     height_m: float | None
+    has_bad_xmp: bool = False
 
 
 def read_tags(path: Path) -> PhotographTags | None:
-    """What the head of an image file says; None when it is no image, or damaged. Raises OSError."""
+    """Read the tags of an image file. Returns None when it is damaged or no image; raises OSError."""
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             exif, xmp = image.getexif(), image.info.get("xmp", b"")
@@ -50,27 +68,42 @@ def read_tags(path: Path) -> PhotographTags | None:
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError):
         return None
     except OSError as error:
-        if error.errno is None:  # not of the disk: Pillow's own word for tags that are cut off
+        if error.errno is None:  # from Pillow, for tags that are cut off, and not from the disk
             return None
         raise
     dji = _dji_fields(xmp if isinstance(xmp, bytes) else xmp.encode())
+    fields = dji or {}
     return PhotographTags(
-        image_size=(height, width),
+        camera=CameraKey(
+            _lens(path.stem, fields),
+            _text(exif.get(ExifTags.Base.Model)),
+            _text(camera.get(ExifTags.Base.LensModel)),
+            (height, width),
+        ),
         clock=_clock(camera),
         zone=_zone(camera.get(ExifTags.Base.OffsetTimeOriginal)),
         gps_clock=_gps_clock(gps),
-        position=_position(gps),
-        gimbal=_gimbal(dji),
+        position=_position(gps) or _dji_position(fields),
+        gimbal=_gimbal(fields),
         focal_px=_focal_px(camera, math.hypot(height, width)),
-        height_m=_number(dji.get("RelativeAltitude")),
+        height_m=_number(fields.get("RelativeAltitude")),
+        has_bad_xmp=dji is None,
     )
+
+
+def _text(value: Any) -> str:
+    return str(value or "").strip("\0 ")
+
+
+def _lens(stem: str, dji: Mapping[str, str]) -> str:
+    letter = _LETTER.search(stem)
+    by_name = _LENS_OF_LETTER.get(letter[1], "") if letter else ""
+    return _LENS_OF_SOURCE.get(dji.get("ImageSource", ""), by_name)
 
 
 def _clock(camera: Mapping[int, Any]) -> datetime | None:
     try:
-        clock = datetime.strptime(
-            str(camera.get(ExifTags.Base.DateTimeOriginal)).rstrip("\0 "), "%Y:%m:%d %H:%M:%S"
-        )
+        clock = datetime.strptime(_text(camera.get(ExifTags.Base.DateTimeOriginal)), "%Y:%m:%d %H:%M:%S")
     except ValueError:
         return None
     digits = re.match(r"\d{1,6}", str(camera.get(ExifTags.Base.SubsecTimeOriginal, "")))
@@ -87,7 +120,7 @@ def _zone(offset: Any) -> timedelta | None:
 
 def _gps_clock(gps: Mapping[int, Any]) -> datetime | None:
     try:
-        day = datetime.strptime(str(gps[ExifTags.GPS.GPSDateStamp]).rstrip("\0 "), "%Y:%m:%d")
+        day = datetime.strptime(_text(gps[ExifTags.GPS.GPSDateStamp]), "%Y:%m:%d")
         hours, minutes, seconds = (float(value) for value in gps[ExifTags.GPS.GPSTimeStamp])
         return (day + timedelta(hours=hours, minutes=minutes, seconds=seconds)).replace(tzinfo=UTC)
     except (KeyError, TypeError, ValueError, ArithmeticError):
@@ -96,8 +129,8 @@ def _gps_clock(gps: Mapping[int, Any]) -> datetime | None:
 
 def _position(gps: Mapping[int, Any]) -> Position | None:
     try:
-        latitude_deg = _degrees(gps[ExifTags.GPS.GPSLatitude], gps[ExifTags.GPS.GPSLatitudeRef] == "S")
-        longitude_deg = _degrees(gps[ExifTags.GPS.GPSLongitude], gps[ExifTags.GPS.GPSLongitudeRef] == "W")
+        latitude_deg = _degrees(gps[ExifTags.GPS.GPSLatitude], gps[ExifTags.GPS.GPSLatitudeRef], "S")
+        longitude_deg = _degrees(gps[ExifTags.GPS.GPSLongitude], gps[ExifTags.GPS.GPSLongitudeRef], "W")
         altitude_m = float(gps.get(ExifTags.GPS.GPSAltitude, math.nan))
     except (KeyError, TypeError, ValueError, ArithmeticError):
         return None
@@ -105,26 +138,51 @@ def _position(gps: Mapping[int, Any]) -> Position | None:
     return position(latitude_deg, longitude_deg, -altitude_m if is_below else altitude_m)
 
 
-def _degrees(parts: Any, is_negative: bool) -> float:
+def _degrees(parts: Any, reference: Any, negative: str) -> float:
     degrees, minutes, seconds = (float(part) for part in parts)
     value = degrees + minutes / 60 + seconds / 3600
-    return -value if is_negative else value
+    return -value if _text(reference).upper() == negative else value
 
 
-def _dji_fields(xmp: bytes) -> dict[str, bytes | None]:
-    return {match[1].decode(): match[2] or match[3] for match in _DJI.finditer(xmp)}
+def _dji_fields(xmp: bytes) -> dict[str, str] | None:
+    """Return DJI's fields by name, whether written as attributes or as elements; None for bad XMP.
+
+    The XMP of a photograph needs no document type, and may not have one: entities could be bombs.
+    """
+    if not (text := xmp.strip(b"\0 \r\n\t")):
+        return {}
+    try:
+        root = fromstring(text, forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError, LookupError):
+        return None
+    fields: dict[str, str] = {}
+    for element in root.iter():
+        own = ((element.tag, element.text), *element.items())
+        fields |= {name.removeprefix(_DJI): value or "" for name, value in own if name.startswith(_DJI)}
+    return fields
 
 
-def _gimbal(fields: Mapping[str, bytes | None]) -> YawPitchRoll | None:
+def _gimbal(fields: Mapping[str, str]) -> YawPitchRoll | None:
     turns = [_number(fields.get(f"Gimbal{turn}Degree")) for turn in ("Yaw", "Pitch", "Roll")]
     return YawPitchRoll(*(turn for turn in turns if turn is not None)) if None not in turns else None
 
 
-def _number(text: bytes | None) -> float | None:
+def _dji_position(fields: Mapping[str, str]) -> Position | None:
+    """Return the position in XMP; the first drones that wrote it spelt GpsLongtitude."""
+    latitude_deg = _number(fields.get("GpsLatitude"))
+    longitude_deg = _number(fields.get("GpsLongitude", fields.get("GpsLongtitude")))
+    if latitude_deg is None or longitude_deg is None:
+        return None
+    altitude_m = _number(fields.get("AbsoluteAltitude"))
+    return position(latitude_deg, longitude_deg, math.nan if altitude_m is None else altitude_m)
+
+
+def _number(text: str | None) -> float | None:
     try:
-        return float(text or b"")
+        value = float(text or "")
     except ValueError:
         return None
+    return value if math.isfinite(value) else None
 
 
 def _focal_px(camera: Mapping[int, Any], diagonal_px: float) -> float | None:

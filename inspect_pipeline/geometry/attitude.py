@@ -67,6 +67,12 @@ class Attitude(NamedTuple):
     height_m: float | None = None
 
 
+class Height(NamedTuple):
+    """The height of the vehicle above the origin of the world frame."""
+
+    height_m: float
+
+
 def position(latitude_deg: float, longitude_deg: float, altitude_m: float) -> Position | None:
     """Return a position; None for one out of range, or near 0, 0, which receivers without a fix report."""
     is_on_earth = abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180

@@ -15,7 +15,7 @@ from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.geometry.camera import lens_of_view, pixel_rays, resized, turned_down
 from inspect_pipeline.geometry.local_frame import LocalMetres
 from inspect_pipeline.geometry.terrain import load_elevation, meet_ground, meet_terrain
-from inspect_pipeline.georeference.calibration import read_intrinsics
+from inspect_pipeline.georeference.calibration import read_lenses
 from inspect_pipeline.georeference.poses import read_poses
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.config import PlacingOptions
     from inspect_pipeline.geometry.camera import Intrinsics
     from inspect_pipeline.geometry.terrain import Elevation
+    from inspect_pipeline.georeference.calibration import LensTrack
     from inspect_pipeline.georeference.poses import Pose, PoseTrack
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel, Frame
@@ -69,7 +70,7 @@ class Georeferencer:
     """
 
     poses: PoseTrack
-    lenses: Mapping[int, Intrinsics]
+    lenses: Mapping[int, LensTrack]
     options: PlacingOptions
     terrain: Elevation | None = None
 
@@ -81,10 +82,8 @@ class Georeferencer:
 
         Raises RecordingError when chunks cannot be read of a `strict` recording, TerrainError.
         """
-        lenses = {camera.channel_id: read_intrinsics(recording, camera) for camera in cameras}
-        known = {channel_id: lens for channel_id, lens in lenses.items() if lens}
         terrain = load_elevation(options.terrain) if options.terrain else None
-        return cls(read_poses(recording), known, options, terrain)
+        return cls(read_poses(recording), read_lenses(recording, cameras), options, terrain)
 
     def place(self, frame: Frame) -> FramePose:
         """The place of a frame by the last pose known at its log time."""
@@ -119,8 +118,8 @@ class Georeferencer:
         if frame.image is None:
             return None
         height, width = frame.image.shape[:2]
-        lens = self.lenses.get(frame.channel_id)
-        if lens:
+        if track := self.lenses.get(frame.channel_id):
+            lens = track.at(frame.log_time_ns)
             return lens if lens.image_size == (height, width) else resized(lens, (height, width))
         view_deg = self.options.view_deg
         return lens_of_view((height, width), view_deg) if view_deg is not None else None

@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.geometry.attitude import Attitude, Position, from_quaternions, to_turns, wrapped_deg
+from inspect_pipeline.geometry.attitude import (
+    Attitude,
+    Height,
+    Position,
+    from_quaternions,
+    to_turns,
+    wrapped_deg,
+)
 from inspect_pipeline.messages.errors import MALFORMED
 from inspect_pipeline.messages.pose import parser_for
 from inspect_pipeline.recording.frames import iter_channel_messages
@@ -194,6 +201,8 @@ def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict
         channel_id, time_ns = message.channel_id, message.log_time_ns
         if isinstance(found, Position):
             kinds["position"][channel_id].append(time_ns, *found)
+        elif isinstance(found, Height):
+            kinds["height"][channel_id].append(time_ns, found.height_m)
         elif isinstance(found, Attitude):
             kind = "camera" if found.is_camera else "vehicle"
             kinds[kind][channel_id].append(time_ns, *found.rotation, found.is_ned, found.is_yaw_relative)

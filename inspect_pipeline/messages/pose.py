@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from inspect_pipeline.geometry.attitude import Attitude, Quaternion, position, unit_quaternion
+from inspect_pipeline.geometry.attitude import Attitude, Height, Quaternion, position, unit_quaternion
 from inspect_pipeline.messages import px4
 from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
 from inspect_pipeline.messages.flatbuffer import FlatbufferTable
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from inspect_pipeline.geometry.attitude import Position
     from inspect_pipeline.messages.cdr import SequentialReader
 
-    Parser = Callable[[memoryview], Position | Attitude | None]
-    AttitudeParser = Callable[[memoryview, bool], Attitude | None]
+    Parser = Callable[[memoryview], Position | Attitude | Height | None]
+    AttitudeParser = Callable[[memoryview, bool], Attitude | Height | None]
 
 _NO_FIX = -1  # sensor_msgs/NavSatStatus
 _CAMERA_WORDS = re.compile(r"camera|gimbal", re.IGNORECASE)
@@ -36,6 +36,7 @@ _CAMERA_WORDS = re.compile(r"camera|gimbal", re.IGNORECASE)
 _WORLDS = frozenset({"map", "odom", "world", "enu", "local", "local_enu"})
 # Frames whose axes are forward, left, up. Those of optics look along z and are left out.
 _BODIES = frozenset({"base_link", "base", "body", "vehicle", "drone", "uav"})
+_GPS = "gps"  # a frame that says where the vehicle is, and not how it is turned
 _CAMERAS = frozenset({"camera", "camera_link", "gimbal", "gimbal_link"})
 
 
@@ -119,7 +120,7 @@ def _height_m(place: Sequence[float]) -> float | None:
     return float(place[2]) if any(place) and math.isfinite(place[2]) else None
 
 
-def _protobuf_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
+def _protobuf_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
     message = FrameTransform.FromString(bytes(payload))
     q = message.rotation
     t = message.translation
@@ -127,20 +128,20 @@ def _protobuf_transform(payload: memoryview, _is_camera: bool) -> Attitude | Non
     return _transform(message.parent_frame_id, message.child_frame_id, rotation, (t.x, t.y, t.z))
 
 
-def _json_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
+def _json_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
     fields: dict[str, Any] = json.loads(bytes(payload))
     rotation = _json_quaternion(fields["rotation"])
     place = _json_place(fields.get("translation", {}))
     return _transform(fields["parent_frame_id"], fields["child_frame_id"], rotation, place)
 
 
-def _flatbuffer_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
+def _flatbuffer_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
     table = FlatbufferTable(payload)
     rotation, place = _flatbuffer_quaternion(table.table(4)), _flatbuffer_place(table.table(3))
     return _transform(table.string(1), table.string(2), rotation, place)
 
 
-def _ros2_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
+def _ros2_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
     reader = CdrReader(payload)
     reader.time_ns()
     parent, child = reader.string(), reader.string()
@@ -148,8 +149,12 @@ def _ros2_transform(payload: memoryview, _is_camera: bool) -> Attitude | None:
     return _transform(parent, child, _ros_quaternion(reader), place)
 
 
-def _transform(parent: str, child: str, rotation: Quaternion, place: Sequence[float]) -> Attitude | None:
+def _transform(
+    parent: str, child: str, rotation: Quaternion, place: Sequence[float]
+) -> Attitude | Height | None:
     """The attitude of a known body against a frame that stands still. Chains are not followed."""
+    if parent in _WORLDS and child == _GPS and math.isfinite(place[2]):
+        return Height(float(place[2]))
     if parent not in _WORLDS or child not in _BODIES | _CAMERAS:
         return None
     known = unit_quaternion(*rotation)

@@ -2,9 +2,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta, timezone
 from fractions import Fraction
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,8 @@ from PIL import ExifTags, Image
 from typer.testing import CliRunner
 
 from inspect_pipeline.commands.pack import pack as pack_command
-from inspect_pipeline.convert.pack import PackResult, _start_ns, pack
+from inspect_pipeline.convert.pack import PackResult, pack
+from inspect_pipeline.convert.video import _start_ns
 from inspect_pipeline.errors import InspectError, RecordingError
 from inspect_pipeline.georeference.calibration import read_intrinsics
 from inspect_pipeline.georeference.poses import read_poses
@@ -112,8 +112,8 @@ def test_photographs_become_a_recording(tmp_path: Path, capfd: pytest.CaptureFix
     recording = open_recording(target)
     frames = list(iter_frames(recording))
     start_ns = utc_ns("2024-05-01T12:00:02")
-    offsets_ms = [(frame.log_time_ns - start_ns) / 1e6 for frame in frames]
-    assert offsets_ms == [0, 2000, 2001]
+    offsets_us = [(frame.log_time_ns - start_ns) / 1e3 for frame in frames]
+    assert offsets_us == [0, 2_000_000, 2_000_001]
     assert all(frame.stamp_ns == frame.log_time_ns for frame in frames)
     poses = [read_poses(recording).at(frame.log_time_ns) for frame in frames]
     assert poses[0] is not None
@@ -145,14 +145,13 @@ def test_the_zone_of_the_clock_is_told_by_gps_or_by_exif(tmp_path: Path) -> None
     [("2024-05-01 12:00:00", "2024-05-01T12:00:00"), ("2024-05-01T12:00:00.5Z", "2024-05-01T12:00:00.500")],
 )
 def test_when_a_video_was_made(tmp_path: Path, told: str, wanted: str) -> None:
-    container = SimpleNamespace(metadata={"creation_time": told})
-    assert _start_ns(tmp_path, [], container) == utc_ns(wanted)
+    assert _start_ns(tmp_path, [], {"creation_time": told}, UTC, None) == utc_ns(wanted)
 
 
 @pytest.mark.parametrize("metadata", [{}, {"creation_time": "yesterday"}])
 def test_a_video_that_does_not_say_when_it_was_made(tmp_path: Path, metadata: dict[str, str]) -> None:
     with pytest.raises(RecordingError, match="put its SRT file beside it"):
-        _start_ns(tmp_path, [], SimpleNamespace(metadata=metadata))
+        _start_ns(tmp_path, [], metadata, UTC, None)
 
 
 def test_a_clock_that_was_never_set(tmp_path: Path) -> None:
@@ -207,7 +206,7 @@ def test_what_cannot_be_packed_is_told_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.mp4").write_text("no video")
     make_video(tmp_path / "undated.mp4")
-    make_video(tmp_path / "b.mp4", bf="2")
+    make_video(tmp_path / "b.mp4")
     (tmp_path / "b.srt").write_text(SRT)
     (tmp_path / "there.mcap").write_text("")
     for source, target, message in (
@@ -215,7 +214,6 @@ def test_what_cannot_be_packed_is_told_in_one_line(tmp_path: Path) -> None:
         ("empty", "a.mcap", "no JPEG that says when it was taken"),
         ("text.mp4", "a.mcap", "not a video"),
         ("undated.mp4", "a.mcap", "does not say when it was taken"),
-        ("b.mp4", "a.mcap", "out of order"),
         ("b.mp4", "there.mcap", "exists already"),
         ("b.mp4", "absent/a.mcap", "cannot be made"),
     ):
@@ -264,3 +262,29 @@ def test_photographs_are_marked_as_stills_and_videos_are_not(tmp_path: Path) -> 
         pack(tmp_path / source, tmp_path / f"{source}.mcap")
         (camera,) = open_recording(tmp_path / f"{source}.mcap").camera_channels
         assert camera.is_stills == is_stills
+
+
+def test_a_video_with_b_frames_is_packed_in_the_order_it_is_shown(tmp_path: Path) -> None:
+    make_video(tmp_path / "b.mp4", bf="3", b_adapt="0")
+    start = datetime(2025, 10, 9, 8, 0, tzinfo=UTC)
+    result = pack(tmp_path / "b.mp4", tmp_path / "b.mcap", start=start)
+    assert result.counts["images"] == 30
+    assert "B-frames" in result.warnings[0]
+    frames = list(iter_frames(open_recording(tmp_path / "b.mcap")))
+    start_ns = utc_ns("2025-10-09T08:00:00")
+    assert [frame.log_time_ns - start_ns for frame in frames] == [i * 10**8 for i in range(30)]
+    assert [round((float(frame.image.mean()) - 10) / 8) for frame in frames] == list(range(30))
+
+
+def test_the_start_of_a_video_may_be_given_and_its_clock_have_a_zone(tmp_path: Path) -> None:
+    make_video(tmp_path / "a.mp4", 3)
+    berlin = timezone(timedelta(hours=2))
+    for name, start in (
+        ("naive", datetime(2025, 10, 9, 8, 0)),
+        ("utc", datetime(2025, 10, 9, 6, tzinfo=UTC)),
+    ):
+        pack(tmp_path / "a.mp4", tmp_path / f"{name}.mcap", zone=berlin, start=start)
+        assert open_recording(tmp_path / f"{name}.mcap").start_ns == utc_ns("2025-10-09T06:00:00")
+    (tmp_path / "a.srt").write_text(SRT)
+    pack(tmp_path / "a.mp4", tmp_path / "srt.mcap", zone=berlin)
+    assert open_recording(tmp_path / "srt.mcap").start_ns == utc_ns("2024-05-01T08:00:00.250")

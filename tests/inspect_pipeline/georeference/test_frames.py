@@ -17,6 +17,7 @@ from inspect_pipeline.errors import TerrainError
 from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.geometry.camera import Intrinsics
 from inspect_pipeline.geometry.terrain import load_elevation
+from inspect_pipeline.georeference.calibration import LensTrack
 from inspect_pipeline.georeference.frames import FramePose, Georeferencer
 from inspect_pipeline.georeference.poses import PoseSamples, PoseTrack
 from inspect_pipeline.pipeline import process
@@ -45,7 +46,7 @@ def frame(width: int = 1280) -> Frame:
 
 def placed(track: PoseTrack, *, width: int = 1280, **options: float | Path | None) -> FramePose:
     lens = Intrinsics((720, 1280), (1000.0, 1000.0), (640.0, 360.0), "", ())
-    lenses = {1: lens} if options.pop("with_lens", 1) else {}
+    lenses = {1: LensTrack([TIME_NS], [lens])} if options.pop("with_lens", 1) else {}
     terrain = options.get("terrain")
     return Georeferencer(
         track, lenses, PlacingOptions(**options), load_elevation(terrain) if terrain else None
@@ -215,3 +216,18 @@ def test_the_content_of_a_terrain_model_tells_runs_apart(tmp_path: Path) -> None
     before = digest(first)
     assert len({before, digest(other), digest(None)}) == 3
     assert digest(first.rename(tmp_path / "c.tif")) == before
+
+
+def test_the_lens_is_the_one_in_force_at_the_time() -> None:
+    near = Intrinsics((720, 1280), (1000.0, 1000.0), (640.0, 360.0), "", ())
+    far = replace(near, focal_px=(4000.0, 4000.0))
+    lens = LensTrack()
+    for after_ms, one in ((3, near), (3.5, near), (5, far)):
+        lens.add(TIME_NS + round(after_ms * 1e6), one)
+    place = Georeferencer(track(), {1: lens}, PlacingOptions()).place
+    focal_px = [
+        place(replace(frame(), log_time_ns=TIME_NS + after_ms * 1_000_000)).focal_px
+        for after_ms in (0, 4, 5, 9)
+    ]
+    assert focal_px == [1000.0, 1000.0, 4000.0, 4000.0]
+    assert len(lens.lenses) == 2

@@ -13,6 +13,7 @@ MIGRATIONS = (
     "0003_inspection.sql",
     "0004_stills.sql",
     "0005_reviewers.sql",
+    "0006_judgements.sql",
 )
 
 

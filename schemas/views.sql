@@ -20,8 +20,10 @@ coverages AS (
     SELECT flight_id,
            max(share) FILTER (kind = 'frame')                      AS frame_coverage,
            max(share) FILTER (kind = 'detection' AND unit = 's')   AS detection_coverage,
-           sum(covered) FILTER (kind = 'span')
-             / nullif(sum(total) FILTER (kind = 'span'), 0)        AS span_coverage,
+           -- of the spans of which at least half was passed within near_m
+           sum(covered) FILTER (kind = 'span' AND passed >= total / 2)
+             / nullif(sum(total - unknown) FILTER (kind = 'span' AND passed >= total / 2), 0)
+                                                                   AS span_coverage,
            max(share) FILTER (kind = 'corridor')                   AS corridor_coverage
     FROM coverage
     WHERE channel_id IS NULL
@@ -116,6 +118,9 @@ SELECT c.flight_id,
        c.imaged        AS imaged_m,
        c.covered       AS covered_m,
        c.share,
+       c.unknown       AS unknown_m,
+       c.reason,
+       c.passed        AS passed_m,
        c.longest_gap_m,
        b.worst_gsd_m,
        b.least_frames,
@@ -127,7 +132,18 @@ SELECT c.flight_id,
 FROM coverage AS c
 LEFT JOIN bins AS b USING (flight_id, span_id)
 LEFT JOIN spans AS s USING (span_id)
-WHERE c.kind = 'span';
+WHERE c.kind = 'span' AND c.span_id IS NOT NULL;
+
+-- What each rule about conductors could say about a span: metres judged, and the commonest reason why not.
+CREATE OR REPLACE VIEW span_judged AS
+SELECT flight_id,
+       span_id,
+       kind,
+       sum(length_m)                                                  AS length_m,
+       coalesce(sum(length_m) FILTER (outcome = 'judged'), 0)         AS judged_m,
+       arg_max(outcome, length_m) FILTER (outcome <> 'judged')        AS why_not
+FROM span_judgements
+GROUP BY flight_id, span_id, kind;
 
 CREATE OR REPLACE VIEW corridor_coverage AS
 SELECT flight_id,
@@ -135,6 +151,8 @@ SELECT flight_id,
        imaged  AS imaged_m,
        covered AS covered_m,
        share,
+       unknown AS unknown_m,
+       reason,
        longest_gap_m,
        thresholds
 FROM coverage

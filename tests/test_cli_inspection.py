@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import flights as made
@@ -55,7 +56,9 @@ def run(*arguments: str, code: int = 0) -> str:
 
 
 def rows(*arguments: str, code: int = 0) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in run(*arguments, "--json", code=code).splitlines()]
+    done = CliRunner().invoke(cli.app, [*arguments, "--json"])
+    assert done.exit_code == code, done.output + repr(done.exception)
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def import_towers(store: Store, folder: Path) -> None:
@@ -122,6 +125,29 @@ def test_check_by_other_rules(store: Store, tmp_path: Path) -> None:
     assert rows("check") == []
 
 
+def test_check_reports_rules_that_could_not_judge(store: Store) -> None:
+    """Without the height above ground, spans are flown by and nothing can be said of them."""
+    truth = replace(TRUTH, frames=[replace(frame, height_m=None) for frame in TRUTH.frames])
+    inspected.write_truth(store, "blind", truth)
+    import_spans(store, inspected.spans_of(TRUTH))
+    (store.root / "rules.toml").write_text("[check]\nfail_on = ['conductor_gap']\nmin_frame_share = 0\n")
+    index.publish(store)
+    blind = made.flight_id_of("blind")
+    done = CliRunner().invoke(cli.app, ["check", "--flight", blind[:8]])
+    assert (done.exit_code, done.stdout) == (0, "1 flight passes\n")
+    assert "conductor_gap: not judged on 3 of 3 spans: height above ground unknown" in done.stderr
+    shares = (
+        "SELECT share, covered_m AS covered, unknown_m = length_m AS is_unknown"
+        " FROM span_coverage WHERE flight_id = ?"
+    )
+    for row in index.select(store, shares, [blind]):
+        assert (row["share"], row["covered"], row["is_unknown"]) == (None, None, True)
+    with (store.root / "rules.toml").open("a") as file:
+        file.write("fail_on_not_judged = true\n")
+    index.publish(store)
+    assert {row["rule"] for row in rows("check", "--flight", blind[:8], code=4)} == {"conductor_gap"}
+
+
 def test_rules_of_the_store_are_those_of_the_index(store: Store) -> None:
     before = index.select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
     (store.root / "rules.toml").write_text("[frames]\ndark_below_luma = 1.0\n")
@@ -185,5 +211,5 @@ def test_what_was_told_survives_a_torn_line(store: Store) -> None:
     run("flights", "tag", FAULTY, "b=2")
     assert {(tag.key, tag.value) for tag in load_tags(store)} == {("a", "1"), ("b", "2")}
     (store.root / "tags.jsonl").write_text('{"something": "else"}\n')
-    with pytest.raises(StoreError, match="no tag"):
+    with pytest.raises(StoreError, match="not a tag"):
         load_tags(store)

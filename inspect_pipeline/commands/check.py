@@ -11,6 +11,7 @@ import typer
 
 from inspect_pipeline.commands.options import FlightOption, JsonOption, StoreOption, open_store
 from inspect_pipeline.commands.output import count_of, print_table
+from inspect_pipeline.errors import printable
 
 _FAILED = 4
 
@@ -25,7 +26,8 @@ def check(
 ) -> None:
     """Exit with 4 if a flight fails a rule.
 
-    A flight fails by anomalies that are not dismissed, or by too little coverage, as the rules say.
+    A flight fails by anomalies that are not dismissed, or by too little coverage, as the rules say. Rules
+    that could not judge a flight are reported on stderr; they fail it where the rules say fail_on_not_judged.
 
     \b
     Examples:
@@ -39,7 +41,11 @@ def check(
     source = open_store(store)
     every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"
     flights = find_flights(source, flight) if flight else [row["flight_id"] for row in select(source, every)]
-    failures = check_flights(source, flights, rules)
+    results = check_flights(source, flights, rules)
+    failures = [each for each in results if each.outcome == "failed"]
+    for each in results:
+        if each.outcome == "not judged":
+            typer.echo(printable(f"{each.flight_id[:16]}: {each.rule}: {each.detail}"), err=True)
     if as_json:
         for failure in failures:
             typer.echo(json.dumps(asdict(failure)))

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.inspection.anomalies.find import Reviewed, find_anomalies, with_ids
-from inspect_pipeline.inspection.anomalies.spans import count_conductors
+from inspect_pipeline.inspection.anomalies.counts import count_conductors
+from inspect_pipeline.inspection.anomalies.find import Reviewed, inspect_cameras, with_ids
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
 from inspect_pipeline.inspection.rows import CameraRows, FrameRows, LineRows
 from inspect_pipeline.inspection.rules import load_rules
@@ -36,13 +36,21 @@ if TYPE_CHECKING:
 
 
 class Inspected(NamedTuple):
-    """Rows of the tables anomalies and coverage, the latter those over all cameras."""
+    """Rows of the tables anomalies, coverage (over all cameras) and span_judgements."""
 
     anomalies: list[dict[str, Any]]
     coverage: list[dict[str, Any]]
+    judgements: list[dict[str, Any]]
 
 
-DERIVED_TABLES = ("coverage", "coverage_bins", "coverage_gaps", "conductor_counts", "anomalies")
+DERIVED_TABLES = (
+    "coverage",
+    "coverage_bins",
+    "coverage_gaps",
+    "conductor_counts",
+    "anomalies",
+    "span_judgements",
+)
 
 _FRAMES = """
 SELECT frame_idx, log_time_ns, stamp_ns, coalesce(width, -1) AS width, coalesce(height, -1) AS height,
@@ -108,8 +116,11 @@ def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequen
         cameras = load_cameras(connection, flight_id)
         _insert_coverage(connection, flight_id, measure_coverage(cameras, spans, rules))
         _insert_counts(connection, flight_id, cameras, spans, rules)
-        found = with_ids(flight_id, find_anomalies(cameras, spans, rules), reviews.get(flight_id, []))
-        _insert_anomalies(connection, flight_id, found)
+        found = inspect_cameras(cameras, spans, rules)
+        anomalies = with_ids(flight_id, found.anomalies, reviews.get(flight_id, []))
+        _insert_anomalies(connection, flight_id, anomalies)
+        judgements = [{"flight_id": flight_id, **asdict(one)} for one in found.judgements]
+        insert_records(connection, "INSERT INTO span_judgements", "span_judgements", judgements)
 
 
 def inspect_flights(
@@ -119,13 +130,16 @@ def inspect_flights(
     spans, reviews = load_spans(store), _reviewed(store)
     anomalies: list[dict[str, Any]] = []
     coverage: list[dict[str, Any]] = []
+    judgements: list[dict[str, Any]] = []
     for flight_id in flight_ids:
         cameras, own = load_cameras(connection, flight_id), {"flight_id": flight_id}
-        found = with_ids(flight_id, find_anomalies(cameras, spans, rules), reviews.get(flight_id, []))
-        anomalies += [own | asdict(one) for one in found]
+        found = inspect_cameras(cameras, spans, rules)
+        named = with_ids(flight_id, found.anomalies, reviews.get(flight_id, []))
+        anomalies += [own | asdict(one) for one in named]
+        judgements += [own | asdict(one) for one in found.judgements]
         numbers = measure_coverage(cameras, spans, rules).numbers
         coverage += [own | asdict(one) | {"share": one.share} for one in numbers if one.channel_id is None]
-    return Inspected(anomalies, coverage)
+    return Inspected(anomalies, coverage, judgements)
 
 
 def load_cameras(connection: duckdb.DuckDBPyConnection, flight_id: str) -> list[CameraRows]:
@@ -228,6 +242,7 @@ def _insert_coverage(connection: duckdb.DuckDBPyConnection, flight_id: str, foun
             "first_ns": bins.first_ns,
             "last_ns": bins.last_ns,
             "is_seen": seen,
+            "is_unknown": bins.is_unknown,
         }
         connection.register("bin_rows", columns)
         connection.execute(

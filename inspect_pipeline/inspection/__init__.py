@@ -1,1 +1,1 @@
-"""Spans, coverage and anomalies, computed from the rows of a flight."""
+"""Coverage of power-line spans and candidate anomalies, computed from the index rows of a flight."""

@@ -1,4 +1,4 @@
-"""What coverage and anomalies are computed from: the rows of a flight as columns, camera by camera."""
+"""Frames and lines of a flight as columns, one set for each camera."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.geometry.camera import CameraPoses, camera_axes
-from inspect_pipeline.geometry.local_frame import LocalMetres
+from inspect_pipeline.inspection.cadence import measure_cadence
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.inspection.cadence import Cadence
     from inspect_pipeline.inspection.rules import Rules
 
 
@@ -23,9 +21,9 @@ NO_TRACK = -1
 
 @dataclass(frozen=True)
 class FrameRows:
-    """The frames of a camera in order, an array (N,) for each column; NaN for NULL, -1 for a size of NULL.
+    """Frames of a camera in order, one array (N,) per column. NaN for NULL, -1 for a NULL size.
 
-    is_turn_known: whether the camera's attitude was recorded, instead of assumed.
+    is_turn_known: whether the attitude of the camera was recorded and not assumed.
     """
 
     frame_idx: Ints
@@ -51,83 +49,77 @@ class FrameRows:
 
     @cached_property
     def times_s(self) -> Floats:
-        """Since the first frame."""
+        """Seconds since the first frame (N,)."""
         return (self.log_time_ns - self.log_time_ns[:1]) / 1e9
-
-    @cached_property
-    def period_s(self) -> float:
-        """The median interval; NaN with less than two frames."""
-        return float(np.median(np.diff(self.times_s))) if len(self) > 1 else float("nan")
 
 
 @dataclass(frozen=True)
 class LineRows:
-    """The lines of a camera, ordered by frame.
+    """Lines of a camera, ordered by frame.
 
-    frame (M,) is the row of its frame, track (M,) its track or NO_TRACK. points (P, 2) px are those of all
-    lines one after the other; those of line i are points[first[i] : first[i + 1]]. taken_from (M,) is the row
-    of the frame whose picture has the line, None where it is always `frame`.
+    frame (M,): row of the frame. track (M,): track id or NO_TRACK. points (P, 2) px: the points of all lines,
+    those of line i at first[i] : first[i + 1]. source_frame (M,): row of the frame in which the line was
+    detected, where that may differ from `frame`.
     """
 
     frame: Ints
     track: Ints
     first: Ints
     points: Floats
-    taken_from: Ints | None = None
+    source_frame: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
 
     @cached_property
     def chords(self) -> Floats:
-        """(M, 2, 2): the first and the last point."""
+        """First and last points (M, 2, 2)."""
         return np.stack((self.points[self.first[:-1]], self.points[self.first[1:] - 1]), axis=1)
 
     @property
-    def picture(self) -> Ints:
-        """(M,) the rows of the frames whose pictures have the lines."""
-        return self.frame if self.taken_from is None else self.taken_from
+    def detected_in(self) -> Ints:
+        """Rows (M,) of the frames in which the lines were detected."""
+        return self.frame if self.source_frame is None else self.source_frame
 
-    def select(self, chosen: Mask) -> LineRows:
-        """Some of the lines."""
-        counts = np.diff(self.first)
+    def take(self, chosen: Ints) -> LineRows:
+        """Return lines by index, in the given order."""
+        counts = np.diff(self.first)[chosen]
         return LineRows(
             self.frame[chosen],
             self.track[chosen],
-            np.concatenate(([0], np.cumsum(counts[chosen]))).astype(np.int64),
-            self.points[np.repeat(chosen, counts)],
+            np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
+            self.points[np.repeat(self.first[chosen], counts) + count_up(counts)],
+            None if self.source_frame is None else self.source_frame[chosen],
         )
 
-    def of_frames(self, first: int, stop: int) -> LineRows:
-        """The lines of the frames first <= frame < stop."""
-        low, high = np.searchsorted(self.frame, (first, stop)).tolist()
-        at = self.first[low : high + 1]
-        taken = None if self.taken_from is None else self.taken_from[low:high]
-        points = self.points[at[0] : at[-1]]
-        return LineRows(self.frame[low:high], self.track[low:high], at - at[0], points, taken)
+    def in_frames(self, start: int, stop: int) -> LineRows:
+        """Return the lines of the frames start <= frame < stop."""
+        low, high = np.searchsorted(self.frame, (start, stop)).tolist()
+        return self.take(np.arange(low, high))
 
-    def counted_from(self, row: int) -> LineRows:
-        """The same lines, with frames numbered from a row."""
-        taken = None if self.taken_from is None else self.taken_from - row
-        return replace(self, frame=self.frame - row, taken_from=taken)
+    def shift_frames(self, offset: int) -> LineRows:
+        """Return the same lines with `offset` added to their frame rows."""
+        source = None if self.source_frame is None else self.source_frame + offset
+        return replace(self, frame=self.frame + offset, source_frame=source)
 
 
 @dataclass(frozen=True)
 class CameraRows:
-    """The frames and lines of one camera of a flight.
-
-    is_stills: photographs, whose pauses, turns and stamps say nothing of a fault.
-    """
+    """Frames and lines of one camera. is_stills: photographs, between which pauses are no faults."""
 
     channel_id: int
     frames: FrameRows
     lines: LineRows
     is_stills: bool = False
 
+    def cadence(self, rules: Rules) -> Cadence:
+        """Estimate the cadence of the frames."""
+        return measure_cadence(self.frames.times_s, rules, is_stills=self.is_stills)
+
 
 @dataclass(frozen=True)
-class Usable:
-    """Which frames of a camera can be used, and what is wrong with the others: masks (N,)."""
+class FrameQuality:
+    """Masks (N,) of the usable frames of a camera, and of the reasons against the others."""
 
     usable: Mask
     blurred: Mask
@@ -135,100 +127,24 @@ class Usable:
     overexposed: Mask
 
 
-def judge_frames(frames: FrameRows, rules: Rules) -> Usable:
-    """Which frames are bad, blurred, dark or overexposed by the thresholds of [frames]."""
+def assess_frames(frames: FrameRows, rules: Rules) -> FrameQuality:
+    """Find blurred, dark and overexposed frames by the thresholds of [frames]."""
     limits = rules.frames
     dark = frames.is_ok & (frames.mean_luma < limits["dark_below_luma"])
     overexposed = frames.is_ok & (frames.mean_luma > limits["overexposed_above_luma"])
-    good = frames.is_ok & ~dark & ~overexposed
-    usual = np.nanmedian(frames.sharpness[good]) if np.isfinite(frames.sharpness[good]).any() else np.nan
-    blurred = good & (frames.sharpness < limits["blurred_below"] * usual)
-    return Usable(good & ~blurred, blurred, dark, overexposed)
+    exposed = frames.is_ok & ~dark & ~overexposed
+    sharpness = frames.sharpness[exposed]
+    median = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
+    blurred = exposed & (frames.sharpness < limits["blurred_below"] * median)
+    return FrameQuality(exposed & ~blurred, blurred, dark, overexposed)
 
 
-def tracked_lines(lines: LineRows, rules: Rules) -> LineRows:
-    """The lines of tracks that are long enough; all lines where none was followed."""
-    if not np.any(lines.track != NO_TRACK):
-        return lines
-    tracks, inverse, counts = np.unique(lines.track, return_inverse=True, return_counts=True)
-    is_long = (counts >= rules.tracks["min_frames"]) & (tracks != NO_TRACK)
-    return lines.select(is_long[inverse])
-
-
-def completed_lines(lines: LineRows, max_missed: float) -> LineRows:
-    """The lines, and for up to `max_missed` frames that lack one amid its track, those of the frame before.
-
-    Lines without a track are left out.
-    """
-    order = np.lexsort((lines.frame, lines.track))
-    order = order[lines.track[order] != NO_TRACK]
-    if not len(order):
-        return lines.select(np.zeros(len(lines), bool))
-    frame, track = lines.frame[order], lines.track[order]
-    # Several lines may be pieces of one track in one frame: they go together, as a sight.
-    begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(track, prepend=track[0] - 1) != 0))
-    sizes = np.diff(begins, append=len(order))
-    steps = np.append(np.diff(frame[begins]), 1)
-    is_bridged = np.append(np.diff(track[begins]) == 0, False) & (steps <= max_missed + 1)
-    repeats = np.where(is_bridged, steps, 1)
-    sight = np.repeat(np.arange(len(begins)), repeats)
-    age = _count_up(repeats)
-    taken = np.repeat(begins[sight], sizes[sight]) + _count_up(sizes[sight])
-    frames = np.repeat(frame[begins][sight] + age, sizes[sight])
-    by_frame = np.argsort(frames, kind="stable")
-    return _take(lines, order[taken][by_frame], frames[by_frame])
-
-
-def _count_up(counts: Ints) -> Ints:
-    """0, 1, ... of each count, one after the other."""
-    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-
-
-def _take(lines: LineRows, chosen: Ints, frames: Ints) -> LineRows:
-    """Lines by their numbers, as lines of other frames."""
-    counts = np.diff(lines.first)[chosen]
-    first = np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
-    points = lines.points[np.repeat(lines.first[chosen], counts) + _count_up(counts)]
-    return LineRows(frames, lines.track[chosen], first, points, lines.frame[chosen])
-
-
-def place_cameras(frames: FrameRows, origin: LocalMetres, rules: Rules) -> CameraPoses:
-    """The cameras of frames; NaN where the pose or the lens is not known, is assumed, or the pose too old."""
-    is_old = ~frames.is_turn_known | (frames.pose_age_ms > rules.coverage["max_pose_age_ms"])
-    ground = origin.to_metres(frames.lat_deg, frames.lon_deg)
-    positions = np.column_stack((ground, frames.height_m))
-    positions[is_old] = np.nan
-    return CameraPoses(
-        positions=positions,
-        axes=camera_axes(np.column_stack((frames.cam_yaw_deg, frames.cam_pitch_deg, frames.cam_roll_deg))),
-        focal_px=frames.focal_px.astype(np.float64),
-        sizes=np.column_stack((frames.width, frames.height)).astype(np.float64),
-    )
-
-
-def path_metres(frames: FrameRows) -> Floats:
-    """(N,) metres flown since the first frame with a position; NaN before it and without any."""
-    known = np.flatnonzero(np.isfinite(frames.lat_deg) & np.isfinite(frames.lon_deg))
-    walked = np.full(len(frames), np.nan)
-    if len(known):
-        origin = LocalMetres(frames.lat_deg[known[0]], frames.lon_deg[known[0]])
-        places = origin.to_metres(frames.lat_deg[known], frames.lon_deg[known])
-        steps = np.hypot(*np.diff(places, axis=0).T)
-        so_far = np.concatenate(([0.0], np.cumsum(steps)))
-        walked[known[0] :] = np.interp(np.arange(known[0], len(frames)), known, so_far)
-    return walked
-
-
-def find_origin(cameras: Sequence[CameraRows]) -> LocalMetres | None:
-    """The first known position of a flight."""
-    for camera in cameras:
-        known = np.flatnonzero(np.isfinite(camera.frames.lat_deg) & np.isfinite(camera.frames.lon_deg))
-        if len(known):
-            return LocalMetres(camera.frames.lat_deg[known[0]], camera.frames.lon_deg[known[0]])
-    return None
-
-
-def runs_of(mask: Mask, min_length: float) -> list[Ints]:
-    """The rows of each run of True that is long enough."""
+def find_runs(mask: Mask, min_length: float) -> list[Ints]:
+    """Return the indices of each run of True of at least `min_length`."""
     edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     return [np.arange(first, stop) for first, stop in edges.tolist() if stop - first >= min_length]
+
+
+def count_up(counts: Ints) -> Ints:
+    """Return 0, 1, ... count - 1 for each count, concatenated."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)

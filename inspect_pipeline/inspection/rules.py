@@ -1,10 +1,10 @@
-"""Thresholds of coverage and anomalies: schemas/rules.toml, with single values replaced by people's own."""
+"""Thresholds of coverage and anomalies: schemas/rules.toml, with single values replaced by a file."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
+import sys
 import tomllib
 from copy import deepcopy
 from dataclasses import dataclass
@@ -19,11 +19,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _LEAST = {"coverage.bin_m": 0.01}  # of all other numbers 0
+_UNLIMITED = sys.float_info.max
+_MOST_BY_SUFFIX = {"_share": 1.0, "_agreement": 1.0, "_angle_deg": 90.0, "_jump_deg": 180.0, "_luma": 255.0}
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """Sections of values by name, as in schemas/rules.toml, which says what each one means."""
+    """Values by section and name. schemas/rules.toml documents each of them."""
 
     frames: Mapping[str, float]
     tracks: Mapping[str, float]
@@ -32,26 +34,26 @@ class Rules:
     check: Mapping[str, Any]
 
     def of(self, kind: str) -> Mapping[str, float]:
-        """The thresholds of a kind of anomaly."""
+        """Return the thresholds of a kind of anomaly."""
         section: Mapping[str, float] = self.anomalies[kind]
         return section
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """All kinds of anomalies."""
+        """Kinds of anomalies."""
         return tuple(name for name, value in self.anomalies.items() if isinstance(value, dict))
 
     @property
     def sha256(self) -> str:
-        """Of all values; the same for files that mean the same."""
+        """Hash of all values. Files with the same values have the same hash."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def load_rules(path: Path | None = None) -> Rules:
-    """The shipped rules with the values of a file in their place, if it is there.
+    """Return the shipped rules, with the values of a TOML file in place of theirs.
 
-    Raises RulesError for a file that cannot be read, an unknown name, or a value of another type or out of
+    Raises RulesError for a file that cannot be read, an unknown name, or a value of the wrong type or out of
     range.
     """
     values = deepcopy(_shipped())
@@ -61,7 +63,7 @@ def load_rules(path: Path | None = None) -> Rules:
         except OSError as error:
             raise RulesError(path, f"cannot be read ({error.strerror})", "check the name") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise RulesError(path, f"is no TOML ({error})", "mend it") from error
+            raise RulesError(path, f"is not valid TOML ({error})", "correct it") from error
         _replace(values, own, path, ())
         _check_kinds(Rules(**values), path)
     return Rules(**values)
@@ -80,7 +82,7 @@ def _check_kinds(rules: Rules, path: Path) -> None:
 
 
 def _replace(values: dict[str, Any], own: Mapping[str, Any], path: Path, section: tuple[str, ...]) -> None:
-    """Put the values of `own` into `values`, which has the same names and types."""
+    """Replace `values` by those of `own`, which must have known names, the same types and valid ranges."""
     for name, value in own.items():
         full = ".".join((*section, name))
         if name not in values:
@@ -89,9 +91,16 @@ def _replace(values: dict[str, Any], own: Mapping[str, Any], path: Path, section
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if isinstance(known, dict) and isinstance(value, dict):
             _replace(known, value, path, (*section, name))
-        elif is_number and not _LEAST.get(full, 0.0) <= value < math.inf:
-            raise RulesError(path, f"{full} is {value}", f"give one like {known!r}")
+        elif is_number and not _LEAST.get(full, 0.0) <= value <= _most(name):
+            least, most = _LEAST.get(full, 0.0), _most(name)
+            limits = f"from {least:g} to {most:g}" if most < _UNLIMITED else f"of at least {least:g}"
+            raise RulesError(path, f"{full} is {value}", f"give a number {limits}, such as {known!r}")
         elif type(known) is type(value) or (isinstance(known, int | float) and is_number):
             values[name] = value
         else:
-            raise RulesError(path, f"{full} has a value of another type", f"give one like {known!r}")
+            raise RulesError(path, f"{full} has a value of the wrong type", f"give one like {known!r}")
+
+
+def _most(name: str) -> float:
+    """Return the greatest valid value of a number."""
+    return next((most for suffix, most in _MOST_BY_SUFFIX.items() if name.endswith(suffix)), _UNLIMITED)

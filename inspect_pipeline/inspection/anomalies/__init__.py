@@ -1,1 +1,1 @@
-"""Rules that report what is odd in a flight."""
+"""Rules that find candidate anomalies in the rows of a flight."""

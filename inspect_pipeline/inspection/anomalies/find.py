@@ -1,10 +1,10 @@
-"""What is odd in a flight: candidates with evidence, never verdicts.
+"""Find candidate anomalies of a flight.
 
-    for found in find_anomalies(cameras, spans, load_rules()):
-        print(found.kind, found.reason, found.evidence)
+    for anomaly in find_anomalies(cameras, spans, load_rules()):
+        print(anomaly.kind, anomaly.reason, anomaly.evidence_frames)
 
-Each kind is found by a small rule: a function of the rows of one camera that yields where and how much. Rules
-about conductors of a span need poses, a focal length and spans; the others need none of these.
+Each kind has a rule: a function of the rows of one camera that yields findings. Rules about the conductors of
+a span need spans, poses and a focal length; the others need none of these.
 """
 
 from __future__ import annotations
@@ -17,14 +17,19 @@ import numpy as np
 
 from inspect_pipeline.inspection.anomalies.frames import FRAME_RULES
 from inspect_pipeline.inspection.anomalies.lines import LINE_RULES
-from inspect_pipeline.inspection.anomalies.spans import find_on_spans
-from inspect_pipeline.inspection.rows import find_origin, judge_frames
+from inspect_pipeline.inspection.anomalies.on_spans import find_on_spans
+from inspect_pipeline.inspection.judgement import merge_outcomes
+from inspect_pipeline.inspection.poses import find_origin
+from inspect_pipeline.inspection.rows import assess_frames
+from inspect_pipeline.inspection.span_evidence import gather_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from inspect_pipeline.arrays import Mask
     from inspect_pipeline.inspection.anomalies.frames import Finding
+    from inspect_pipeline.inspection.anomalies.on_spans import ConductorFindings
+    from inspect_pipeline.inspection.judgement import SpanJudgement
     from inspect_pipeline.inspection.rows import CameraRows, FrameRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
@@ -34,7 +39,7 @@ _MAX_EVIDENCE = 5
 
 @dataclass(frozen=True, slots=True)
 class Anomaly:
-    """A row of the table anomalies; anomaly_id is empty until `with_ids`."""
+    """A row of the table anomalies. anomaly_id is empty until `with_ids`."""
 
     kind: str
     channel_id: int
@@ -55,8 +60,16 @@ class Anomaly:
 
 
 @dataclass(frozen=True, slots=True)
+class FlightFindings:
+    """Anomalies of a flight, and the outcome of each rule about conductors on its spans."""
+
+    anomalies: list[Anomaly]
+    judgements: list[SpanJudgement]
+
+
+@dataclass(frozen=True, slots=True)
 class Reviewed:
-    """What a review says of the anomaly it was made of, by which it is found again."""
+    """The anomaly of a review, as needed to find it again."""
 
     anomaly_id: str
     kind: str
@@ -67,34 +80,41 @@ class Reviewed:
 
 
 def find_anomalies(cameras: Sequence[CameraRows], spans: Sequence[Span], rules: Rules) -> list[Anomaly]:
-    """The anomalies of a flight by all enabled rules, in the order of time."""
+    """Return the anomalies of a flight by all enabled rules, in time order."""
+    return inspect_cameras(cameras, spans, rules).anomalies
+
+
+def inspect_cameras(cameras: Sequence[CameraRows], spans: Sequence[Span], rules: Rules) -> FlightFindings:
+    """Return the anomalies of a flight, and which parts of its spans each rule judged."""
     origin = find_origin(cameras)
-    found = []
+    anomalies: list[Anomaly] = []
+    judged: list[ConductorFindings] = []
     for camera in cameras:
-        findings: list[Finding] = []
-        usable = judge_frames(camera.frames, rules)
-        for rule in (*FRAME_RULES, *LINE_RULES):
-            findings += rule(camera, usable, rules)
+        quality = assess_frames(camera.frames, rules)
+        findings = [one for rule in (*FRAME_RULES, *LINE_RULES) for one in rule(camera, quality, rules)]
         if origin is not None:
-            placed = usable.usable & _is_before_jumps(camera.frames, findings)
-            findings += find_on_spans(camera, spans, origin, placed, rules)
-        found += [
+            usable = quality.usable & _before_jumps(camera.frames, findings)
+            evidence = list(gather_evidence(camera, spans, origin, usable, rules))
+            judged.append(find_on_spans(evidence, origin, rules))
+            findings += judged[-1].findings
+        anomalies += [
             _to_anomaly(camera.channel_id, camera.frames, one)
             for one in findings
             if rules.of(one.kind)["enabled"]
         ]
-    return sorted(found, key=lambda one: (one.start_ns, one.kind, one.channel_id, one.span_id or ""))
+    anomalies.sort(key=lambda one: (one.start_ns, one.kind, one.channel_id, one.span_id or ""))
+    return FlightFindings(anomalies, merge_outcomes([one.outcomes for one in judged]))
 
 
-def _is_before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> Mask:
-    """After an orientation jump the pose says no more where a line is."""
+def _before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> Mask:
+    """Return the frames (N,) before any orientation jump, after which the recorded attitude is wrong."""
     jumps = [int(one.rows[-1]) for one in findings if one.kind == "orientation_jump"]
     return np.arange(len(frames)) < min(jumps, default=len(frames))
 
 
 def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding) -> Anomaly:
     rows = np.asarray(found.rows)
-    shown = rows[np.unique(np.linspace(0, len(rows) - 1, _MAX_EVIDENCE).round().astype(int))]
+    evidence = rows[np.unique(np.linspace(0, len(rows) - 1, _MAX_EVIDENCE).round().astype(int))]
     first, last = int(rows[0]), int(rows[-1])
     lat_deg, lon_deg = found.place or (frames.lat_deg[first], frames.lon_deg[first])
     return Anomaly(
@@ -106,7 +126,7 @@ def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding) -> Anomaly:
         unit=found.unit,
         first_frame_idx=int(frames.frame_idx[first]),
         last_frame_idx=int(frames.frame_idx[last]),
-        evidence_frames=tuple(frames.frame_idx[shown].tolist()),
+        evidence_frames=tuple(frames.frame_idx[evidence].tolist()),
         start_ns=int(frames.log_time_ns[first]),
         end_ns=int(frames.log_time_ns[last]),
         track_id=found.track_id,
@@ -117,24 +137,24 @@ def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding) -> Anomaly:
 
 
 def with_ids(flight_id: str, found: Sequence[Anomaly], reviewed: Sequence[Reviewed]) -> list[Anomaly]:
-    """The anomalies of a flight with ids that stay the same when it is processed again.
+    """Give the anomalies of a flight ids that stay the same when it is processed again.
 
-    One that was reviewed keeps its id as long as an anomaly of its kind is there at its time; another model
-    or other thresholds may move its ends.
+    A reviewed anomaly keeps its id as long as one of its kind overlaps its interval: another model or other
+    thresholds may move its ends.
     """
     taken = _match(found, reviewed)
-    seen: dict[str, int] = {}
+    occurrences: dict[str, int] = {}
     named = []
     for i, one in enumerate(found):
         key = f"{flight_id} {one.channel_id} {one.kind} {one.span_id} {one.first_frame_idx}"
-        seen[key] = seen.get(key, 0) + 1
-        own = hashlib.sha256(f"{key} {seen[key]}".encode()).hexdigest()[:12]
+        occurrences[key] = occurrences.get(key, 0) + 1
+        own = hashlib.sha256(f"{key} {occurrences[key]}".encode()).hexdigest()[:12]
         named.append(replace(one, anomaly_id=taken.get(i, own)))
     return named
 
 
 def _match(found: Sequence[Anomaly], reviewed: Sequence[Reviewed]) -> Mapping[int, str]:
-    """The reviewed id of an anomaly by its number: pairs that overlap in time, the best ones first."""
+    """Return reviewed ids by index of the anomaly, best overlap in time first."""
     pairs = sorted(_overlaps(found, reviewed), reverse=True)
     by_number: dict[int, str] = {}
     for _, number, anomaly_id in pairs:

@@ -1,4 +1,4 @@
-"""Rules about the lines of pictures as such: they need no poses and no spans."""
+"""Rules about lines in the image. They need no poses and no spans."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.inspection.anomalies.frames import Finding
-from inspect_pipeline.inspection.rows import NO_TRACK, tracked_lines
+from inspect_pipeline.inspection.lines import confirmed_lines
+from inspect_pipeline.inspection.rows import NO_TRACK
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from inspect_pipeline.arrays import Floats, Mask
-    from inspect_pipeline.inspection.rows import CameraRows, LineRows, Usable
+    from inspect_pipeline.inspection.rows import CameraRows, FrameQuality, LineRows
     from inspect_pipeline.inspection.rules import Rules
 
 
-_SAME_OFFSET_PX, _SAME_ANGLE_DEG = 25.0, 4.0  # of lines that are one, turned
+_SAME_OFFSET_PX, _SAME_ANGLE_DEG = 25.0, 4.0  # between a rotated line and its match
 _MAX_PAUSE_FRAMES = 2
 
 
-def find_crossings(camera: CameraRows, usable: Usable, rules: Rules) -> Iterator[Finding]:
-    """Tracks at an angle to most of the length in their frames, which end beyond the others' sides."""
-    limits, lines = rules.of("crossing_line"), tracked_lines(camera.lines, rules)
+def find_crossings(camera: CameraRows, quality: FrameQuality, rules: Rules) -> Iterator[Finding]:
+    """Find tracks at an angle to most of the line length in their frames."""
+    limits, lines = rules.of("crossing_line"), confirmed_lines(camera.lines, rules)
     if not len(lines) or not np.any(lines.track != NO_TRACK):
         return
-    across_deg = _angles_to_the_others(camera, lines)
-    is_crossing = (across_deg >= limits["min_angle_deg"]) & usable.usable[lines.frame]
+    across_deg = _angles_to_others(camera, lines)
+    is_crossing = (across_deg >= limits["min_angle_deg"]) & quality.usable[lines.frame]
     for track in np.unique(lines.track[is_crossing]):
         own = lines.track == track
         hits = own & is_crossing
@@ -40,8 +41,8 @@ def find_crossings(camera: CameraRows, usable: Usable, rules: Rules) -> Iterator
             yield Finding("crossing_line", rows, reason, angle_deg, limit, "deg", int(track))
 
 
-def _angles_to_the_others(camera: CameraRows, lines: LineRows) -> Floats:
-    """(M,) degrees, 0 to 90, between a line and the main direction of the other lines around its frame."""
+def _angles_to_others(camera: CameraRows, lines: LineRows) -> Floats:
+    """Return degrees (M,), 0 to 90, between a line and the main direction of the others in its frame."""
     runs = lines.chords[:, 1] - lines.chords[:, 0]
     length_px = np.hypot(runs[:, 0], runs[:, 1])
     angle = np.arctan2(runs[:, 1], runs[:, 0])
@@ -51,17 +52,19 @@ def _angles_to_the_others(camera: CameraRows, lines: LineRows) -> Floats:
     )
     others = sums[lines.frame] - doubled
     between = np.abs(np.angle(np.exp(2j * angle) * np.conj(others))) / 2
-    between[np.abs(others) < length_px] = 0.0  # no other line to speak of, or none that agree
+    between[np.abs(others) < length_px] = 0.0  # no other lines, or of no common direction
     degrees: Floats = np.degrees(between)
     return degrees
 
 
-def find_orientation_jumps(camera: CameraRows, usable: Usable, rules: Rules) -> Iterator[Finding]:
-    """Lines of a frame are those of the frame before, turned about the middle of the picture."""
+def find_orientation_jumps(camera: CameraRows, quality: FrameQuality, rules: Rules) -> Iterator[Finding]:
+    """Find frames whose lines are those of the previous frame, rotated about the image centre."""
+    if not camera.cadence(rules).is_video:
+        return
     limits, lines, frames = rules.of("orientation_jump"), camera.lines, camera.frames
     offsets, angles = _normal_forms(camera)
     bounds = np.searchsorted(lines.frame, np.arange(len(frames) + 1))
-    rows = np.flatnonzero(usable.usable)
+    rows = np.flatnonzero(quality.usable)
     for before, after in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
         if after - before > _MAX_PAUSE_FRAMES:
             continue
@@ -69,14 +72,14 @@ def find_orientation_jumps(camera: CameraRows, usable: Usable, rules: Rules) -> 
         turn_deg, n_turned, n_kept = _best_turn(offsets[a], angles[a], offsets[b], angles[b])
         least = max(limits["min_lines"], limits["min_share"] * max(a.stop - a.start, b.stop - b.start))
         if abs(turn_deg) >= limits["min_jump_deg"] and n_turned >= least and n_turned > n_kept:
-            reason = f"{n_turned} lines turn by {turn_deg:+.0f} degrees from one frame to the next"
+            reason = f"{n_turned} lines rotate by {turn_deg:+.0f} degrees from one frame to the next"
             shown = np.array([before, after])
             limit = limits["min_jump_deg"]
             yield Finding("orientation_jump", shown, reason, abs(turn_deg), limit, "deg")
 
 
 def _normal_forms(camera: CameraRows) -> tuple[Floats, Floats]:
-    """(M,) px from the middle of the picture to a line, to its left, and (M,) its angle in [0, 180)."""
+    """Return signed px (M,) from the image centre to each line, and its angle in [0, 180) (M,)."""
     frames, lines = camera.frames, camera.lines
     middles = np.column_stack((frames.width, frames.height))[lines.frame] / 2
     begin, end = (lines.chords[:, i] - middles for i in (0, 1))
@@ -88,9 +91,9 @@ def _normal_forms(camera: CameraRows) -> tuple[Floats, Floats]:
 def _best_turn(
     offsets: Floats, angles: Floats, next_offsets: Floats, next_angles: Floats
 ) -> tuple[float, int, int]:
-    """The turn in degrees that most lines share, how many do, and how many stay where they were."""
+    """Return the rotation in degrees of most lines, their number, and the number of lines that stay."""
     turns = (next_angles[np.newaxis] - angles[:, np.newaxis] + 90) % 180 - 90
-    # A line that turns past 180 degrees changes the side it counts its offset from.
+    # The offset of a line that rotates past 180 degrees changes its sign.
     wraps = np.round((angles[:, np.newaxis] + turns - next_angles[np.newaxis]) / 180).astype(int) % 2
     away = np.abs(offsets[:, np.newaxis] - np.where(wraps == 1, -1, 1) * next_offsets[np.newaxis])
     near = away <= _SAME_OFFSET_PX
@@ -104,7 +107,7 @@ def _best_turn(
 
 
 def _count_pairs(near: Mask, turns: Floats, turn_deg: float) -> int:
-    """How many lines of one frame have a line of the other at a turn."""
+    """Count the lines of one frame that have a match in the other after a rotation."""
     fits = near & (np.abs(turns - turn_deg) <= _SAME_ANGLE_DEG)
     return int(min(fits.any(axis=0).sum(), fits.any(axis=1).sum()))
 

@@ -1,1 +1,1 @@
-"""How much was seen, in four definitions."""
+"""Coverage of a flight: how much of the frames, the time, the spans and the corridor was covered."""

@@ -1,9 +1,9 @@
-"""How much was seen, in four definitions that are never mixed.
+"""Measure coverage in four definitions, which are never mixed.
 
-frame      usable frames of those that the camera's median period lets expect
-detection  time, and path, with at least one line that was followed over frames
-span       metres of a span's axis with a line along it in a frame that shows them finely enough
-corridor   the same of the ground below the path that was flown, with any followed line in the frame
+frame      usable frames of those that the frame rate predicts
+detection  time, and path, with at least one confirmed line
+span       metres of the axis of a span with a line along it in a frame that shows them finely enough
+corridor   the same for the ground below the path, with any confirmed line in the frame
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from inspect_pipeline.inspection.coverage.frames import (
     measure_detection,
     measure_frames,
 )
-from inspect_pipeline.inspection.coverage.rows import Bins, Coverage, Gap
-from inspect_pipeline.inspection.rows import find_origin, runs_of
+from inspect_pipeline.inspection.coverage.rows import Bins, Coverage, CoverageKind, Gap
+from inspect_pipeline.inspection.poses import find_origin
+from inspect_pipeline.inspection.rows import find_runs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,10 +29,12 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
 
+_THRESHOLDS = ("bin_m", "max_gsd_m", "corridor_half_m", "max_angle_deg", "max_pose_age_ms", "near_m")
+
 
 @dataclass(frozen=True, slots=True)
 class FlightCoverage:
-    """All that a flight covered."""
+    """Coverage of a flight: rows of three tables."""
 
     numbers: tuple[Coverage, ...]
     gaps: tuple[Gap, ...]
@@ -39,7 +42,7 @@ class FlightCoverage:
 
 
 def measure_coverage(cameras: Sequence[CameraRows], spans: Sequence[Span], rules: Rules) -> FlightCoverage:
-    """The coverage of a flight by all its cameras."""
+    """Measure the coverage of a flight by all its cameras."""
     numbers: list[Coverage] = []
     gaps: list[Gap] = []
     for camera in cameras:
@@ -48,6 +51,8 @@ def measure_coverage(cameras: Sequence[CameraRows], spans: Sequence[Span], rules
     numbers += _over_cameras(numbers)
     origin = find_origin(cameras)
     if origin is None:
+        kinds: tuple[CoverageKind, ...] = ("span", "corridor") if cameras else ()
+        numbers += [_unknown_coverage(kind, rules) for kind in kinds]
         return FlightCoverage(tuple(numbers), tuple(gaps), ())
     bins = [*span_bins(cameras, spans, origin, rules), *corridor_bins(cameras, origin, rules)]
     numbers += [_count_bins(one, rules) for one in bins]
@@ -55,7 +60,7 @@ def measure_coverage(cameras: Sequence[CameraRows], spans: Sequence[Span], rules
 
 
 def _over_cameras(numbers: Sequence[Coverage]) -> list[Coverage]:
-    """The sums over the cameras of a flight, by kind and unit; the longest gap is that of any camera."""
+    """Sum over the cameras of a flight by kind and unit. The longest gap is that of any camera."""
     sums = []
     for kind, unit in dict.fromkeys((one.kind, one.unit) for one in numbers):
         same = [one for one in numbers if (one.kind, one.unit) == (kind, unit)]
@@ -67,9 +72,9 @@ def _over_cameras(numbers: Sequence[Coverage]) -> list[Coverage]:
                 None,
                 None,
                 unit,
-                total=sum(one.total for one in same),
+                total=sum(one.total or 0.0 for one in same),
                 imaged=None,
-                covered=sum(one.covered for one in same),
+                covered=sum(one.covered or 0.0 for one in same),
                 longest_gap_s=max(gaps_s, default=None),
                 longest_gap_m=max(gaps_m, default=None),
                 thresholds=same[0].thresholds,
@@ -78,19 +83,44 @@ def _over_cameras(numbers: Sequence[Coverage]) -> list[Coverage]:
     return sums
 
 
+def _unknown_coverage(kind: CoverageKind, rules: Rules) -> Coverage:
+    """Return the row of a flight without positions."""
+    return Coverage(
+        kind,
+        None,
+        None,
+        "m",
+        total=None,
+        imaged=None,
+        covered=None,
+        longest_gap_s=None,
+        longest_gap_m=None,
+        thresholds=_thresholds(rules),
+        reason="position unknown",
+    )
+
+
+def _thresholds(rules: Rules) -> dict[str, float]:
+    return {name: rules.coverage[name] for name in _THRESHOLDS}
+
+
 def _count_bins(bins: Bins, rules: Rules) -> Coverage:
+    """Sum the bins of a span or of the corridor."""
     is_covered = bins.n_detected > 0
-    longest = max((len(run) for run in runs_of(~is_covered, 1)), default=0)
-    names = ("bin_m", "max_gsd_m", "corridor_half_m", "max_angle_deg", "max_pose_age_ms")
+    is_known = not bins.is_unknown.all()
+    longest = max((len(run) for run in find_runs(~is_covered & ~bins.is_unknown, 1)), default=0)
     return Coverage(
         bins.kind,
         None,
         bins.span_id,
         "m",
         total=len(is_covered) * bins.bin_m,
-        imaged=float((bins.n_frames > 0).sum() * bins.bin_m),
-        covered=float(is_covered.sum() * bins.bin_m),
+        imaged=float((bins.n_frames > 0).sum() * bins.bin_m) if is_known else None,
+        covered=float(is_covered.sum() * bins.bin_m) if is_known else None,
         longest_gap_s=None,
-        longest_gap_m=float(longest * bins.bin_m),
-        thresholds={name: rules.coverage[name] for name in names},
+        longest_gap_m=float(longest * bins.bin_m) if is_known else None,
+        thresholds=_thresholds(rules),
+        unknown=float(bins.is_unknown.sum() * bins.bin_m),
+        reason=bins.reason,
+        passed=bins.passed_m,
     )

@@ -100,17 +100,18 @@ def test_a_rule_that_is_switched_off_finds_nothing(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("[frames]\ndrak = 1", "unknown name frames.drak"),
-        ("[frames]\ndark_below_luma = 'x'", "another type"),
-        ("frames = 3", "another type"),
-        ("[check]\nfail_on = 'x'", "another type"),
+        ("[frames]\ndark_below_luma = 'x'", "the wrong type"),
+        ("frames = 3", "the wrong type"),
+        ("[check]\nfail_on = 'x'", "the wrong type"),
         ("[check]\nfail_on = ['blured_frames']", "unknown kind 'blured_frames'; known here: conductor_count"),
-        ("[coverage]\nbin_m = 0", "coverage.bin_m is 0; give one like 1.0"),
+        ("[coverage]\nbin_m = 0", "coverage.bin_m is 0; give a number of at least 0.01, such as 1.0"),
         ("[coverage]\nnear_m = nan", "coverage.near_m is nan"),
         ("[anomalies.stale_pose]\nmax_age_ms = -1", "anomalies.stale_pose.max_age_ms is -1"),
-        ("[", "is no TOML"),
+        ("[check]\nmin_span_share = 80", "check.min_span_share is 80; give a number from 0 to 1, such as"),
+        ("[", "is not valid TOML"),
     ],
 )
-def test_wrong_rules_are_told(tmp_path: Path, text: str, words: str) -> None:
+def test_invalid_rules_raise_one_line(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "rules.toml"
     path.write_text(text)
     with pytest.raises(RulesError, match=words):

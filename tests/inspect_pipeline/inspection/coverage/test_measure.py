@@ -13,7 +13,8 @@ from inspect_rows import FOCAL_PX, PERIOD_NS, flight, rules, span
 from inspect_pipeline.geometry.camera import CameraPoses, camera_axes
 from inspect_pipeline.inspection.anomalies.find import find_anomalies
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
-from inspect_pipeline.inspection.rows import NO_TRACK, LineRows, completed_lines
+from inspect_pipeline.inspection.lines import carry_over
+from inspect_pipeline.inspection.rows import NO_TRACK, LineRows
 from inspect_pipeline.inspection.span_view import visible_gsd_m
 
 if TYPE_CHECKING:
@@ -47,24 +48,39 @@ def test_what_is_imaged_without_lines_is_not_covered() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "limits"),
+    ("change", "limits", "reason"),
     [
-        ({"mean_luma": 5.0}, {}),
-        ({"is_ok": False}, {}),
-        ({"pose_age_ms": 5000.0}, {}),
-        ({"is_turn_known": False}, {}),
-        ({"focal_px": np.nan}, {}),
-        ({}, {"max_gsd_m": 0.01}),
+        ({"mean_luma": 5.0}, {}, None),
+        ({"is_ok": False}, {}, None),
+        ({}, {"max_gsd_m": 0.01}, None),
+        ({"pose_age_ms": 5000.0}, {}, "pose too old"),
+        ({"is_turn_known": False}, {}, "camera attitude unknown"),
+        ({"focal_px": np.nan}, {}, "lens unknown"),
+        ({"height_m": np.nan}, {}, "height above ground unknown"),
     ],
 )
-def test_frames_that_show_nothing_cover_nothing(change: dict[str, float], limits: dict[str, float]) -> None:
+def test_frames_that_show_nothing_cover_nothing_or_leave_it_unknown(
+    change: dict[str, float], limits: dict[str, float], reason: str | None
+) -> None:
     camera = flight(np.full(10, 40.0), np.ones(10, bool))
     changed = {name: np.full(10, value) for name, value in change.items()}
     camera = replace(camera, frames=replace(camera.frames, **changed))
     (one,) = (
         one for one in measure_coverage([camera], [span()], rules(**limits)).numbers if one.kind == "span"
     )
-    assert (one.imaged, one.covered) == (0, 0)
+    assert one.reason == reason
+    assert (one.imaged, one.covered, one.share) == ((0, 0, 0) if reason is None else (None, None, None))
+    assert one.unknown == pytest.approx(0.0 if reason is None else 100.0)
+
+
+def test_a_flight_without_positions_has_unknown_coverage() -> None:
+    camera = flight(np.full(10, 40.0), np.ones(10, bool))
+    nowhere = replace(camera, frames=replace(camera.frames, lat_deg=np.full(10, np.nan)))
+    unknown = [one for one in measure_coverage([nowhere], [span()], rules()).numbers if one.total is None]
+    assert [(one.kind, one.span_id, one.covered, one.share, one.reason) for one in unknown] == [
+        ("span", None, None, None, "position unknown"),
+        ("corridor", None, None, None, "position unknown"),
+    ]
 
 
 def test_spans_that_are_far_have_no_row() -> None:
@@ -179,7 +195,7 @@ def test_a_line_missed_within_its_track_is_taken_from_the_frame_before() -> None
     frame, track = np.array([0, 0, 3, 4, 9]), np.array([1, 2, 1, 1, 1])
     points = np.arange(20.0).reshape(10, 2)
     lines = LineRows(frame, track, 2 * np.arange(6), points)
-    done = completed_lines(lines, 2)
+    done = carry_over(lines, 2)
     rows = [
         (int(f), int(t), done.points[a].tolist())
         for f, t, a in zip(done.frame, done.track, done.first[:-1], strict=True)
@@ -222,7 +238,7 @@ def test_an_empty_flight_and_one_frame() -> None:
     for n in (0, 1):
         camera = flight(np.zeros(n), np.ones(n, bool))
         found = measure_coverage([camera], [span()], rules())
-        assert all(np.isfinite(one.covered) for one in found.numbers)
+        assert all(one.covered is None or np.isfinite(one.covered) for one in found.numbers)
     assert measure_coverage([], [span()], rules()).numbers == ()
 
 

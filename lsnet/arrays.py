@@ -14,3 +14,7 @@ Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 ImageArray = NDArray[np.uint8]  # (height, width, 3) RGB, unless a docstring says otherwise
 Maps = tuple[Floats32, Floats32]  # raw network output: scores (R, C) and endpoints (R, C, 4)
+
+FloatImage = Floats32  # (height, width, 3) RGB in [0, 255]
+Points = Floats  # (K, 2) x, y in pixels, or (K, 3) x, y, z in metres
+Rng = np.random.Generator

@@ -1,1 +1,1 @@
-"""Synthetic training images (Section III-A): cables over photographs, and what is mistaken for them."""
+"""Synthetic training images (Section III-A): cables and similar objects over photographs."""

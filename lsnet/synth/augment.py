@@ -1,7 +1,7 @@
-"""On-the-fly augmentation (Section III-A): each technique on its own, all applied with probability 0.25.
+"""On-the-fly augmentation (Section III-A): one function per technique, each applied with probability 0.25.
 
-Images are float32 (H, W, 3) RGB in [0, 255]; a function returns a new image, or changes the given one
-where it says so. `elastic` moves lines too and returns both.
+Images are float32 (H, W, 3) RGB in [0, 255]; functions return a new image. `elastic` moves lines too and
+returns both.
 """
 
 from __future__ import annotations
@@ -14,29 +14,26 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import FloatImage, Points, Rng
 
-    Image = NDArray[np.float32]
-    Points = NDArray[np.float64]
-    Rng = np.random.Generator
 
 PROBABILITY = 0.25  # alpha of the paper
 
 
-def gaussian_noise(image: Image, rng: Rng) -> Image:
-    """f(i, j) = s(i, j) + n(i, j), n normal; grey or coloured."""
+def gaussian_noise(image: FloatImage, rng: Rng) -> FloatImage:
+    """Add normal noise, f(i, j) = s(i, j) + n(i, j), grey or coloured."""
     channels = int(rng.choice([1, 3]))
     noise = rng.standard_normal((*image.shape[:2], channels), dtype=np.float32)
     return image + noise * np.float32(rng.uniform(2, 18))
 
 
-def gaussian_blur(image: Image, rng: Rng) -> Image:
-    """Out of focus."""
+def gaussian_blur(image: FloatImage, rng: Rng) -> FloatImage:
+    """Blur as if out of focus."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.5)), np.float32)
 
 
-def motion_blur(image: Image, rng: Rng) -> Image:
-    """The camera moved: the mean along a short stretch in any direction."""
+def motion_blur(image: FloatImage, rng: Rng) -> FloatImage:
+    """Blur as if the camera moved: average along a short stretch in a random direction."""
     length = int(rng.integers(3, 8))
     kernel = np.zeros((length, length), np.float32)
     angle = rng.uniform(0, np.pi)
@@ -46,25 +43,25 @@ def motion_blur(image: Image, rng: Rng) -> Image:
     return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()), np.float32)
 
 
-def brightness(image: Image, rng: Rng) -> Image:
-    """A shift of all values."""
+def brightness(image: FloatImage, rng: Rng) -> FloatImage:
+    """Shift all values."""
     return image + np.float32(rng.uniform(-60, 60))
 
 
-def contrast(image: Image, rng: Rng) -> Image:
-    """A stretch about the mean."""
+def contrast(image: FloatImage, rng: Rng) -> FloatImage:
+    """Stretch about the mean."""
     mean = np.float32(image.mean())
     return (image - mean) * np.float32(np.exp(rng.uniform(-0.7, 0.45))) + mean
 
 
-def saturation(image: Image, rng: Rng) -> Image:
-    """A stretch about each pixel's own grey."""
-    own: Image = image.mean(axis=2, keepdims=True)
+def saturation(image: FloatImage, rng: Rng) -> FloatImage:
+    """Stretch about the grey of each pixel."""
+    own: FloatImage = image.mean(axis=2, keepdims=True)
     return own + (image - own) * np.float32(rng.uniform(0.2, 1.8))
 
 
-def hue(image: Image, rng: Rng) -> Image:
-    """A turn about the grey axis of the RGB cube."""
+def hue(image: FloatImage, rng: Rng) -> FloatImage:
+    """Rotate about the grey axis of the RGB cube."""
     angle = rng.uniform(-0.6, 0.6)
     cosine, sine = np.cos(angle), np.sin(angle)
     one_third, root = (1 - cosine) / 3, np.sqrt(1 / 3) * sine
@@ -73,27 +70,27 @@ def hue(image: Image, rng: Rng) -> Image:
     return np.asarray(image @ turn.T.astype(np.float32), np.float32)
 
 
-def grey(image: Image, _rng: Rng) -> Image:
-    """Colour removed, three equal channels kept."""
+def grey(image: FloatImage, _rng: Rng) -> FloatImage:
+    """Remove colour; three equal channels."""
     luma = image @ np.array([0.299, 0.587, 0.114], np.float32)
     return np.repeat(luma[..., None], 3, axis=2)
 
 
-def haze(image: Image, rng: Rng) -> Image:
-    """Light scattered in the air: a veil of one colour, thicker to one side."""
+def haze(image: FloatImage, rng: Rng) -> FloatImage:
+    """Add light scattered in the air: a veil of one colour, denser to one side."""
     t = np.linspace(0, 1, image.shape[1], dtype=np.float32)[None, :, None]
     veil = np.float32(rng.uniform(0.1, 0.45)) * (t if rng.random() < 0.5 else 1 - t)
     return image + veil * (np.float32(rng.uniform(170, 235)) - image)
 
 
-def jpeg(image: Image, rng: Rng) -> Image:
-    """What a JPEG of quality 30 to 95 leaves."""
+def jpeg(image: FloatImage, rng: Rng) -> FloatImage:
+    """Compress as JPEG with quality 30 to 95."""
     rounded = np.clip(image, 0, 255).astype(np.uint8)
     _, data = cv2.imencode(".jpg", rounded, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 96))])
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.float32)
 
 
-PHOTOMETRIC: tuple[Callable[[Image, Rng], Image], ...] = (
+PHOTOMETRIC: tuple[Callable[[FloatImage, Rng], FloatImage], ...] = (
     haze,
     gaussian_blur,
     motion_blur,
@@ -107,11 +104,11 @@ PHOTOMETRIC: tuple[Callable[[Image, Rng], Image], ...] = (
 )
 
 
-def elastic(image: Image, lines: Sequence[Points], rng: Rng) -> tuple[Image, list[Points]]:
-    """Displacement fields rand(-1, 1), smoothed by a Gaussian, scaled by alpha, applied to image and lines.
+def elastic(image: FloatImage, lines: Sequence[Points], rng: Rng) -> tuple[FloatImage, list[Points]]:
+    """Deform image and lines by displacement fields rand(-1, 1), smoothed by a Gaussian and scaled by alpha.
 
-    The smoothing is done on a coarse field that is then enlarged: the same spectrum, cheaper. A pixel
-    of the result is taken from p + D(p), so a point q of the source goes to the p with p + D(p) = q.
+    A coarse field is enlarged instead of smoothed: the same spectrum at less cost. A pixel p of the result
+    is sampled at p + D(p), so a point q of the source moves to the p with p + D(p) = q.
     """
     height, width = image.shape[:2]
     coarse = rng.uniform(-1, 1, (2, 6, 6)).astype(np.float32) * np.float32(rng.uniform(1, 6))
@@ -122,7 +119,7 @@ def elastic(image: Image, lines: Sequence[Points], rng: Rng) -> tuple[Image, lis
     return np.asarray(moved, np.float32), [_pull_back(points, dx, dy) for points in lines]
 
 
-def _pull_back(points: Points, dx: Image, dy: Image) -> Points:
+def _pull_back(points: Points, dx: FloatImage, dy: FloatImage) -> Points:
     """Solve p + D(p) = q for each point q by fixed-point iteration; D is small and smooth."""
     height, width = dx.shape
     p = points.copy()
@@ -134,8 +131,8 @@ def _pull_back(points: Points, dx: Image, dy: Image) -> Points:
     return p
 
 
-def augment(image: Image, lines: Sequence[Points], rng: Rng) -> tuple[Image, list[Points]]:
-    """Each technique with probability 0.25, in the order of what happens on the way to a file."""
+def augment(image: FloatImage, lines: Sequence[Points], rng: Rng) -> tuple[FloatImage, list[Points]]:
+    """Apply each technique with probability 0.25, in the order from scene to file."""
     lines = list(lines)
     if rng.random() < PROBABILITY:
         image, lines = elastic(image, lines, rng)

@@ -1,4 +1,4 @@
-"""What the cables hang over: photographs without lines, views of environment maps, plain drawn grounds."""
+"""Backgrounds: photographs without lines, views of environment maps, drawn grounds."""
 
 from __future__ import annotations
 
@@ -15,28 +15,23 @@ from lsnet.images import IMAGE_SUFFIXES, load_rgb
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import FloatImage, ImageArray, Rng
 
-    Image = NDArray[np.float32]
-    Rng = np.random.Generator
 
-PLAIN_SHARE = 0.22  # of the backgrounds are drawn: asphalt, concrete and sky are rare among photographs
-VEGETATION_SHARE = 0.2  # likewise: leaves near enough to be seen one by one
+PLAIN_SHARE = 0.22  # share of drawn plain grounds: asphalt, concrete and sky are rare among photographs
+VEGETATION_SHARE = 0.2  # share of drawn vegetation, from near enough to see single leaves
 
 
 @dataclass(frozen=True, slots=True)
 class BackgroundFolder:
-    """A folder of images without lines; `first` takes only so many of them, by file name.
-
-    Written on the command line as DIR or DIR:FIRST.
-    """
+    """A folder of images without lines, or its first ones by file name; written DIR or DIR:FIRST."""
 
     path: Path
     first: int | None = None
 
     @classmethod
     def parse(cls, text: str) -> BackgroundFolder:
-        """From DIR or DIR:FIRST."""
+        """Parse DIR or DIR:FIRST."""
         head, _, tail = text.rpartition(":")
         return cls(Path(head), int(tail)) if head and tail.isdecimal() else cls(Path(text))
 
@@ -44,20 +39,22 @@ class BackgroundFolder:
         return f"{self.path.name}, first {self.first}" if self.first else self.path.name
 
     def files(self) -> list[Path]:
-        """The image files taken, sorted by name. Raises LSNetError when there are none."""
+        """Return the image files, sorted by name. Raises LSNetError when there are none."""
         if not self.path.is_dir():
             raise LSNetError(f"{self.path}: not a folder; give a folder of photographs without lines")
         files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)[: self.first]
         if not files:
-            raise LSNetError(f"{self.path}: no images in it; give a folder of photographs without lines")
+            raise LSNetError(
+                f"{self.path}: no images in this folder; give a folder of photographs without lines"
+            )
         return files
 
 
 class BackgroundPool:
-    """Photographs held in memory, cut out at random place and scale.
+    """Photographs in memory, cropped at random place and scale.
 
-    A folder is drawn from in proportion to the square root of its pixels: large photographs more often
-    than thumbnails, but none of them alone.
+    A folder is used in proportion to the square root of its number of pixels: large photographs more often
+    than thumbnails, without dominating.
     """
 
     def __init__(self, folders: Sequence[BackgroundFolder]) -> None:
@@ -65,8 +62,8 @@ class BackgroundPool:
         weights = np.sqrt([sum(photo.size for photo in photos) for photos in self._folders])
         self._shares = weights / weights.sum()
 
-    def sample(self, rng: Rng, size: int) -> Image:
-        """A float32 (size, size, 3) background."""
+    def sample(self, rng: Rng, size: int) -> FloatImage:
+        """Return a random float32 (size, size, 3) background."""
         kind = rng.random()
         if kind < VEGETATION_SHARE:
             return vegetation(rng, size)
@@ -76,8 +73,8 @@ class BackgroundPool:
         return cut_out(photos[rng.integers(len(photos))], rng, size)
 
 
-def cut_out(photo: NDArray[np.uint8], rng: Rng, size: int) -> Image:
-    """A random square of a photograph at a random scale, turned by quarter turns and mirrored."""
+def cut_out(photo: ImageArray, rng: Rng, size: int) -> FloatImage:
+    """Crop a random square of a photograph at a random scale, with random quarter turns and mirroring."""
     short = min(photo.shape[:2])
     low, high = min(0.5 * short, 90), min(short, 3.0 * size)
     side = max(1, int(np.exp(rng.uniform(np.log(low), np.log(high)))))
@@ -86,29 +83,29 @@ def cut_out(photo: NDArray[np.uint8], rng: Rng, size: int) -> Image:
     if rng.random() < 0.5:
         square = square[:, ::-1]
     how = cv2.INTER_AREA if side > size else cv2.INTER_CUBIC
-    image: Image = cv2.resize(np.ascontiguousarray(square), (size, size), interpolation=how).astype(
+    image: FloatImage = cv2.resize(np.ascontiguousarray(square), (size, size), interpolation=how).astype(
         np.float32
     )
-    if side < size / 1.5:  # an enlarged picture is too smooth: give it grain
+    if side < size / 1.5:  # enlarged pictures are too smooth: add grain
         image += grain(rng, size, rng.uniform(2, 16), int(rng.integers(1, 4)))
     return image
 
 
-def grain(rng: Rng, size: int, sigma: float, pitch_px: int) -> Image:
-    """(size, size, 1) Gaussian noise, smooth over `pitch_px`."""
+def grain(rng: Rng, size: int, sigma: float, pitch_px: int) -> FloatImage:
+    """Return (size, size, 1) Gaussian noise, smooth over `pitch_px`."""
     count = size // pitch_px + 2
     noise = rng.standard_normal((count, count), dtype=np.float32) * np.float32(sigma)
     smooth = cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)
     return np.asarray(smooth, np.float32)[..., None]
 
 
-def plain(rng: Rng, size: int) -> Image:
-    """Sky, asphalt, concrete or soil: one colour, a gradient, grain and stains."""
+def plain(rng: Rng, size: int) -> FloatImage:
+    """Draw sky, asphalt, concrete or soil: one colour, a gradient, grain and stains."""
     base = np.clip(rng.uniform(15, 240) + rng.normal(0, 18, 3), 0, 255).astype(np.float32)
     angle = rng.uniform(0, 2 * np.pi)
     t = np.linspace(-1, 1, size, dtype=np.float32)
     slope = np.cos(angle) * t + np.sin(angle) * t[:, None]
-    image: Image = (
+    image: FloatImage = (
         base + (slope * np.float32(rng.uniform(0, 35)))[..., None] + np.zeros((1, 1, 3), np.float32)
     )
     image += grain(rng, size, rng.uniform(0, 14), 1)
@@ -117,8 +114,8 @@ def plain(rng: Rng, size: int) -> Image:
     return image.astype(np.float32, copy=False)
 
 
-def vegetation(rng: Rng, size: int) -> Image:
-    """Leaves, grass, scrub or twigs from near: flat tones with sharp edges, dark where one looks in."""
+def vegetation(rng: Rng, size: int) -> FloatImage:
+    """Draw leaves, grass, scrub or twigs from near: flat tones with sharp edges, and dark gaps."""
     pitch, stretch = np.exp(rng.uniform(np.log(1.5), np.log(6))), rng.uniform(1, 3.5)
     leaves = _turned_noise(rng, size, pitch, stretch) + 0.6 * _turned_noise(rng, size, 2.3 * pitch, stretch)
     depth = grain(rng, size, rng.uniform(0.1, 0.9), int(rng.integers(15, 90)))[..., 0]
@@ -130,14 +127,14 @@ def vegetation(rng: Rng, size: int) -> Image:
     levels = np.stack(
         [np.interp(t, [0, 0.5, 1], tones) for tones in zip(dark, middle, light, strict=True)], -1
     )
-    image: Image = levels.astype(np.float32)
-    for channel in range(3):  # no two plants of one hue
+    image: FloatImage = levels.astype(np.float32)
+    for channel in range(3):  # the hue varies between plants
         image[..., channel : channel + 1] *= 1 + grain(rng, size, 0.08, int(rng.integers(4, 40)))
     return image
 
 
-def _turned_noise(rng: Rng, size: int, pitch_px: float, stretch: float) -> Image:
-    """(size, size) noise smooth over `pitch_px` one way and `stretch` times as far the other way."""
+def _turned_noise(rng: Rng, size: int, pitch_px: float, stretch: float) -> FloatImage:
+    """(size, size) noise, smooth over `pitch_px` in one direction and `stretch` times as far in the other."""
     side = 1.5 * size
     rows, columns = int(side / pitch_px) + 2, int(side / pitch_px / stretch) + 2
     noise = rng.standard_normal((rows, columns), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Cables drawn from their centrelines: anti-aliased, shaded as cylinders, stranded when wide.
+"""Cables drawn from their centrelines: anti-aliased, shaded as cylinders, stranded if wide.
 
 Images are float32 (H, W, 3) RGB in [0, 255] and are painted in place.
 """
@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Image = NDArray[np.float32]
-    Points = NDArray[np.float64]
+    from lsnet.arrays import FloatImage, Points
 
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """A parabola over the chord from `start` to `end`: the picture of a hanging cable.
+    """A parabola over the chord from `start` to `end`: the image of a hanging cable.
 
-    start, end: x, y in pixels; sag_px: its greatest distance from the chord, signed, positive to the
-    right of the direction of travel in image coordinates.
+    Attributes:
+        start, end: x, y in pixels.
+        sag_px: Signed greatest distance from the chord, positive to the right of the direction from start
+            to end in image coordinates.
     """
 
     start: tuple[float, float]
@@ -30,13 +29,13 @@ class Arc:
     sag_px: float
 
     def points(self, count: int = 17) -> Points:
-        """(count, 2) points along the arc, ends included."""
+        """Return (count, 2) points along the arc, including its ends."""
         origin, along, across, length = self._frame()
         t = np.linspace(0, 1, count)[:, None]
         return origin + along * t * length + across * 4 * self.sag_px * t * (1 - t)
 
-    def distance(self, height: int, width: int) -> tuple[Image, Image]:
-        """(H, W) signed distance of each pixel centre from the arc, and its position along it, px.
+    def distance(self, height: int, width: int) -> tuple[FloatImage, FloatImage]:
+        """Return (H, W) signed distances of the pixel centres from the arc, and positions along it, px.
 
         To first order: the offset across the chord divided by the arc's local slope.
         """
@@ -63,10 +62,13 @@ class Arc:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """How a cable looks.
+    """Appearance of a cable.
 
-    light: direction of the light across the cable, -1 (one flank) to 1 (the other); strand_px: length of
-    a strand's turn, 0 for a smooth insulated cable.
+    Attributes:
+        rgb: Colour in [0, 255].
+        ambient, diffuse, specular: Shares of the light.
+        light: Direction of the light across the cable, from -1 (one side) to 1 (the other).
+        strand_px: Length of a strand's turn, 0 for a smooth insulated cable.
     """
 
     rgb: tuple[float, float, float]
@@ -78,16 +80,22 @@ class Finish:
 
 
 def draw_cable(
-    image: Image,
+    image: FloatImage,
     arc: Arc,
     width_px: tuple[float, float],
     finish: Finish,
-    visible: Image | None = None,
+    visible: FloatImage | None = None,
 ) -> None:
-    """Paint a cable; `width_px` at the start and at the end of the arc, for perspective.
+    """Paint a cable along an arc.
 
-    Cables under a pixel keep their coverage: they fade instead of vanishing. visible: (H, W) in [0, 1],
-    0 where something hides the cable.
+    Cables thinner than a pixel keep their coverage: they fade instead of vanishing.
+
+    Args:
+        image: Painted in place.
+        arc: The centreline.
+        width_px: Width at the start and at the end of the arc, for perspective.
+        finish: Appearance.
+        visible: (H, W) in [0, 1], 0 where something hides the cable.
     """
     height, width = image.shape[:2]
     distance, along = arc.distance(height, width)
@@ -110,18 +118,18 @@ def draw_cable(
     image[rows, columns] = patch + coverage[:, None].astype(np.float32) * (colour - patch)
 
 
-def _shade(s: Image, u: Image, w: Image, finish: Finish) -> Image:
-    """Brightness of the cylinder at s in [-1, 1] across it: Lambert, plus strands where wide enough."""
+def _shade(s: FloatImage, u: FloatImage, w: FloatImage, finish: Finish) -> FloatImage:
+    """Brightness of the cylinder at s in [-1, 1] across it: Lambertian, with strands if wide enough."""
     facing = np.maximum(s * finish.light + np.sqrt(np.maximum(1 - s * s, 0)) * (1 - abs(finish.light)), 0)
     shade = finish.ambient + finish.diffuse * facing
     if finish.strand_px > 0:
         depth = 0.25 * np.clip((w - 3) / 5, 0, 1)
         shade = shade * (1 + depth * np.sin(2 * np.pi * (u / finish.strand_px + 0.5 * s)))
-    out: Image = shade.astype(np.float32)
+    out: FloatImage = shade.astype(np.float32)
     return out
 
 
-def _glint(shade: Image, finish: Finish) -> Image:
+def _glint(shade: FloatImage, finish: Finish) -> FloatImage:
     brightest = finish.ambient + finish.diffuse
-    out: Image = (255 * finish.specular * np.clip(shade / brightest, 0, 1) ** 8).astype(np.float32)
+    out: FloatImage = (255 * finish.specular * np.clip(shade / brightest, 0, 1) ** 8).astype(np.float32)
     return out

@@ -1,6 +1,6 @@
-"""What a video codec of the H.264 kind leaves of a frame: coarse blocks, smoothed borders, half the colour.
+"""Artefacts of video codecs such as H.264: coarse blocks, smoothed block borders, colour at half resolution.
 
-Not a codec: one frame, one block size, the steps that can be seen.
+Not a codec: one frame, one block size, and only the visible steps.
 """
 
 from __future__ import annotations
@@ -11,18 +11,16 @@ import cv2
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from lsnet.arrays import FloatImage, Rng
 
-    Image = NDArray[np.float32]
-    Rng = np.random.Generator
 
 BLOCK_PX = 8
-ROUNDING = 1 / 3  # of a step: coefficients are rounded towards zero, small ones vanish
+ROUNDING = 1 / 3  # of a step: coefficients are rounded towards zero
 STEPS = (8.0, 48.0)  # quantiser steps of about QP 22 to 38, grey levels
 
 
-def video(image: Image, rng: Rng) -> Image:
-    """float32 (H, W, 3) RGB in [0, 255] to the same, transformed, quantised and smoothed."""
+def video(image: FloatImage, rng: Rng) -> FloatImage:
+    """Return an image transformed, quantised and smoothed; float32 (H, W, 3) RGB in [0, 255]."""
     step = float(np.exp(rng.uniform(*np.log(STEPS))))
     height, width = image.shape[:2]
     padded = cv2.copyMakeBorder(
@@ -37,8 +35,8 @@ def video(image: Image, rng: Rng) -> Image:
     return np.asarray(rgb[:height, :width] * 255, np.float32)
 
 
-def quantised(plane: Image, step: float) -> Image:
-    """(H, W), multiples of 8, with the cosine coefficients of each block of 8 x 8 rounded to the step."""
+def quantised(plane: FloatImage, step: float) -> FloatImage:
+    """Round the cosine coefficients of each 8 x 8 block of (H, W), multiples of 8, to the step."""
     height, width = plane.shape
     blocks = plane.reshape(height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX).swapaxes(1, 2)
     basis = _cosines()
@@ -48,16 +46,16 @@ def quantised(plane: Image, step: float) -> Image:
     return np.asarray(back.swapaxes(1, 2).reshape(height, width), np.float32)
 
 
-def _cosines() -> Image:
-    """(8, 8) orthonormal cosine transform, a frequency a row."""
+def _cosines() -> FloatImage:
+    """(8, 8) orthonormal cosine transform, one frequency per row."""
     k, i = np.arange(BLOCK_PX)[:, None], np.arange(BLOCK_PX)
     basis = np.cos(np.pi * k * (2 * i + 1) / (2 * BLOCK_PX)) * np.sqrt(2 / BLOCK_PX)
     basis[0] /= np.sqrt(2)
     return np.asarray(basis, np.float32)
 
 
-def deblocked(plane: Image, step: float) -> Image:
-    """Borders of blocks softened where the jump is less than a step, and so likely none of the scene."""
+def deblocked(plane: FloatImage, step: float) -> FloatImage:
+    """Soften block borders where the jump is less than a step, and so probably not part of the scene."""
     for view in (plane, plane.T):
         before, after = view[BLOCK_PX - 1 : -1 : BLOCK_PX], view[BLOCK_PX::BLOCK_PX]
         jump = after - before

@@ -1,6 +1,6 @@
-"""How frames come out at dusk, in the infrared, and what the sun adds: shadows of the cables on the ground.
+"""Conditions of capture: low light, infrared, shadows of the cables on the ground.
 
-As in `lsnet.synth.augment`: float32 (H, W, 3) RGB in [0, 255] in, a new image out.
+As in `lsnet.synth.augment`, images are float32 (H, W, 3) RGB in [0, 255], and functions return a new one.
 """
 
 from __future__ import annotations
@@ -16,15 +16,11 @@ from lsnet.synth.compression import video
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Image = NDArray[np.float32]
-    Points = NDArray[np.float64]
-    Rng = np.random.Generator
+    from lsnet.arrays import FloatImage, Points, Rng
 
 
-def low_light(image: Image, rng: Rng) -> Image:
-    """Little light, amplified: dark, with noise that grows with the root of the light."""
+def low_light(image: FloatImage, rng: Rng) -> FloatImage:
+    """Simulate low light: dark, with amplified shot noise."""
     light, gain = rng.uniform(0.02, 0.15), rng.uniform(1.5, 5)
     electrons = np.maximum(image, 0) * np.float32(light * 10)
     noise = rng.standard_normal(image.shape, dtype=np.float32)
@@ -32,8 +28,8 @@ def low_light(image: Image, rng: Rng) -> Image:
     return np.asarray(counted * np.float32(gain / 10), np.float32)
 
 
-def infrared(image: Image, rng: Rng) -> Image:
-    """As a thermal camera sees: one channel, warm or cold bright, soft, with a pattern of its columns."""
+def infrared(image: FloatImage, rng: Rng) -> FloatImage:
+    """Simulate a thermal camera: one channel, warm or cold bright, soft, with column noise."""
     warm = grey(image, rng)
     if rng.random() < 0.5:
         warm = 255 - warm
@@ -43,10 +39,10 @@ def infrared(image: Image, rng: Rng) -> Image:
     return np.asarray((soft - soft.mean()) * np.float32(contrast) + np.float32(middle) + columns, np.float32)
 
 
-def cable_shadows(image: Image, lines: Sequence[Points], rng: Rng) -> Image:
-    """Soft dark lines beside the cables, all shifted alike; they are no lines, so `lines` stay as they are.
+def cable_shadows(image: FloatImage, lines: Sequence[Points], rng: Rng) -> FloatImage:
+    """Draw soft dark shadows, all shifted alike from the cables; call it before drawing the cables.
 
-    To be drawn before the cables.
+    Shadows are not lines, so there are no labels for them.
     """
     shift = rng.uniform(-0.3, 0.3, 2) * min(image.shape[:2])
     shade = np.zeros(image.shape[:2], np.float32)
@@ -58,8 +54,8 @@ def cable_shadows(image: Image, lines: Sequence[Points], rng: Rng) -> Image:
     return image * (1 - np.float32(rng.uniform(0.2, 0.5)) * np.asarray(soft)[..., None])
 
 
-def augment_further(image: Image, lines: Sequence[Points], rng: Rng) -> tuple[Image, list[Points]]:
-    """Infrared or low light with probability 0.25, what `augment` does, and a video codec as often."""
+def augment_further(image: FloatImage, lines: Sequence[Points], rng: Rng) -> tuple[FloatImage, list[Points]]:
+    """Apply infrared or low light with probability 0.25, then `augment`, then a video codec with 0.25."""
     if rng.random() < PROBABILITY:
         technique = infrared if rng.random() < 0.5 else low_light
         image = technique(image, rng)

@@ -1,4 +1,4 @@
-"""Drawn training images without end: sample i of a seed is always the same image."""
+"""Synthetic training images without end: sample i of a seed is always the same image."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from lsnet.synth.conditions import augment_further
 from lsnet.synth.scene import add_cables
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import Floats, Floats32, ImageArray
     from lsnet.synth.backgrounds import BackgroundPool
 
-EMPTY_SHARE = 0.2  # of the images hold no cable
-SMALL_SHARE = 0.25  # are seen by a coarse camera, two to four times enlarged as `Detector` does
+EMPTY_SHARE = 0.2  # of images have no cable
+SMALL_SHARE = 0.25  # of images have a low resolution, enlarged two to four times as by `Detector`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """An image and its lines.
 
-    image: uint8 (size, size, 3) RGB; lines: (K, 2) points x, y in pixels, they may leave the image.
+    Attributes:
+        image: uint8 (size, size, 3) RGB.
+        lines: (K, 2) points x, y in pixels, which may be outside the image.
     """
 
-    image: NDArray[np.uint8]
-    lines: list[NDArray[np.float64]]
+    image: ImageArray
+    lines: list[Floats]
 
 
 class SampleSource(Protocol):
-    """Samples by index, the same for the same index."""
+    """Samples by index; the same index gives the same sample."""
 
     @property
     def size(self) -> int:
@@ -41,13 +42,13 @@ class SampleSource(Protocol):
         ...
 
     def __getitem__(self, index: int) -> Sample:
-        """Sample `index`, any from 0 up."""
+        """Return sample `index`, any number from 0."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticScenes:
-    """Cables over backgrounds and clutter, augmented."""
+    """Cables drawn over backgrounds and clutter, augmented."""
 
     pool: BackgroundPool
     size: int = 384
@@ -70,6 +71,6 @@ class SyntheticScenes:
         return Sample(to_uint8(image), lines)
 
 
-def to_uint8(image: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Rounded into [0, 255]."""
+def to_uint8(image: Floats32) -> ImageArray:
+    """Round and clip to [0, 255]."""
     return np.clip(np.round(image), 0, 255).astype(np.uint8)

@@ -1,1 +1,1 @@
-"""Training of the network: samples in, checkpoints out."""
+"""Training: from samples to checkpoints."""

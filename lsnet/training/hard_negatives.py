@@ -1,4 +1,4 @@
-"""Hard negatives from photographs without lines: the squares in which a detector says there are some."""
+"""Hard negatives from photographs without lines: squares with false alarms of a detector."""
 
 from __future__ import annotations
 
@@ -24,10 +24,15 @@ SQUARE_PX = 512  # of the network's image; a training image is cut out of it
 
 
 def mine(detector: Detector, backgrounds: Sequence[str], output: Path) -> Iterator[int]:
-    """Write the squares of one photograph after the other as PNG; how many each of them gave.
+    """Write the squares of each photograph as PNG; yield their number per photograph.
 
-    backgrounds: DIR or DIR:FIRST. Raises LSNetError as `named_photos` does, and for a folder that cannot be
-    written.
+    Args:
+        detector: Reports the false alarms.
+        backgrounds: Folders of photographs, DIR or DIR:FIRST.
+        output: Folder to write to.
+
+    Raises:
+        LSNetError: As of `named_photos`, or the folder cannot be written.
     """
     make_folder(output)
     for name, file in named_photos(backgrounds).items():
@@ -38,27 +43,29 @@ def mine(detector: Detector, backgrounds: Sequence[str], output: Path) -> Iterat
 
 
 def named_photos(backgrounds: Sequence[str]) -> dict[str, Path]:
-    """Photographs by what the names of their squares begin with: folder and file.
+    """Return the photographs by the prefix of the names of their squares: folder and file.
 
-    Raises LSNetError for folders without images, or when the squares of two photographs would replace each
-    other.
+    Raises:
+        LSNetError: A folder has no images, or two photographs have the same prefix.
     """
     named: dict[str, Path] = {}
     for folder in map(BackgroundFolder.parse, backgrounds):
         for file in folder.files():
             name = f"{folder.path.name}_{file.stem}"
             if name in named:
-                raise LSNetError(f"{named[name]} and {file} would have squares of one name; mine them apart")
+                raise LSNetError(
+                    f"{named[name]} and {file} would have squares of the same names; mine them separately"
+                )
             named[name] = file
     return named
 
 
 def hard_squares(photo: NDArray[np.uint8], detector: Detector) -> list[NDArray[np.uint8]]:
-    """Squares about the segments told, from the surest on; each segment lies in one of them."""
+    """Cut squares around the reported segments, highest score first; each segment is in one of them."""
     height, width = photo.shape[:2]
     side = min(round(SQUARE_PX / detector.scale_of(photo)), height, width)
-    told = detector.detect([photo])[0].segments
-    return [photo[y : y + side, x : x + side] for x, y in _corners(told, side)]
+    found = detector.detect([photo])[0].segments
+    return [photo[y : y + side, x : x + side] for x, y in _corners(found, side)]
 
 
 def _corners(segments: Segments, side: int) -> Iterator[tuple[int, int]]:

@@ -1,10 +1,10 @@
-"""One's own labelled images as training data: labelme files beside the images, or one COCO file.
+"""Labelled images of the user as training data: labelme files beside the images, or one COCO file.
 
     labelme   NAME.json beside each image, with shapes of type line or linestrip
     COCO      annotations.json: "images" with file_name, "annotations" with "line" or "segmentation" as
               flat lists x1, y1, x2, y2, ... of each polyline
 
-Any label counts as a line unless `labels` names the ones that do.
+All labels count as lines unless `labels` names the ones that do.
 """
 
 from __future__ import annotations
@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import Floats32, ImageArray, Points, Rng
 
-    Points = NDArray[np.float64]
-    Rng = np.random.Generator
 
 COCO_FILE = "annotations.json"
 LINE_SHAPES = {"line", "linestrip"}
@@ -37,17 +35,20 @@ LINE_SHAPES = {"line", "linestrip"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledImage:
-    """An image file and its polylines, (K, 2) x, y in pixels of the image as stored.
+    """An image file and its polylines.
 
-    size: (height, width) as the labels have it, None where they do not say.
+    Attributes:
+        path: The file.
+        lines: (K, 2) x, y in pixels of the image as stored.
+        size: (height, width) according to the labels, None if they do not state it.
     """
 
     path: Path
     lines: list[Points]
     size: tuple[int, int] | None = None
 
-    def load(self) -> NDArray[np.uint8]:
-        """The pixels. Raises LSNetError for no image, or one of another size: the labels of a turned one."""
+    def load(self) -> ImageArray:
+        """Load the pixels. Raises LSNetError when they are no image, or of another size, as if rotated."""
         pixels = load_rgb(self.path)
         if self.size not in (None, pixels.shape[:2]):
             raise LSNetError(
@@ -58,9 +59,10 @@ class LabelledImage:
 
 
 def load_labels(folder: Path, labels: tuple[str, ...] = ()) -> list[LabelledImage]:
-    """The labelled images of a folder, by file name.
+    """Read the labels of a folder, in order of the file names of the images.
 
-    Raises LSNetError when the folder holds no labels or a label file is malformed.
+    Raises:
+        LSNetError: The folder has no labels, or a label file is malformed.
     """
     if not folder.is_dir():
         raise LSNetError(f"{folder}: not a folder; give a folder of labelled images")
@@ -70,13 +72,13 @@ def load_labels(folder: Path, labels: tuple[str, ...] = ()) -> list[LabelledImag
         raise LSNetError(f"{folder}: no labelled images; put labelme files beside the images, or {COCO_FILE}")
     if not any(image.lines for image in found):
         wanted = f" labelled {', '.join(labels)}" if labels else ""
-        raise LSNetError(f"{folder}: no lines{wanted} in its labels; see lsnet-pipe model train --help")
+        raise LSNetError(f"{folder}: no lines{wanted} in its labels; label lines as line or linestrip")
     return found
 
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Turn whatever a malformed label file raises into one line that names it."""
+    """Turn the errors that a malformed label file causes into one line that names it."""
     try:
         yield
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as err:
@@ -137,7 +139,7 @@ def _polyline(points: list[Any]) -> Points:
 
 
 class LabelledScenes:
-    """Random crops of labelled images: zoomed, turned, mirrored, augmented. Sample i is always the same."""
+    """Random crops of labelled images: zoomed, rotated, mirrored, augmented. Sample i is always the same."""
 
     def __init__(self, images: list[LabelledImage], size: int = 384, seed: int = 0) -> None:
         self.size, self._seed = size, seed
@@ -152,11 +154,11 @@ class LabelledScenes:
 
 
 def zoom_and_turn(
-    image: NDArray[np.uint8], lines: list[Points], rng: Rng, size: int
-) -> tuple[NDArray[np.float32], list[Points]]:
-    """A (size, size) float32 crop at a random place, zoom, angle and mirroring, with its lines.
+    image: ImageArray, lines: list[Points], rng: Rng, size: int
+) -> tuple[Floats32, list[Points]]:
+    """Return a (size, size) float32 crop at a random place, zoom, angle and mirroring, with its lines.
 
-    One affine map takes image and lines. Beyond the image all is of its mean colour.
+    Image and lines are mapped alike. Pixels beyond the image have its mean colour.
     """
     height, width = image.shape[:2]
     zoom = np.exp(rng.uniform(np.log(0.7), np.log(1.6))) * max(1.0, size / min(height, width))

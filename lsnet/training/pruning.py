@@ -1,8 +1,8 @@
-"""A narrower network out of a trained one: the channels that matter least are left out.
+"""Prune a trained network to a narrower one: the least important channels are dropped.
 
-Training from there takes a fraction of the steps that first weights need. The measure is of the weights
-alone, after Li et al., "Pruning Filters for Efficient ConvNets": how strongly a channel is driven (the
-scale of its normalisation) times how strongly it is listened to (the weights that read it).
+Training it further takes a fraction of the steps of a training from scratch. The importance of a channel is
+computed from the weights alone, after Li et al., "Pruning Filters for Efficient ConvNets": the scale of its
+normalisation times the weights that read it.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 
 
 def slim(wide: LSNet, config: LSNetConfig) -> LSNet:
-    """A network of `config` with the channels of `wide` that matter most.
+    """Return a network of `config` with the most important channels of `wide`.
 
-    What a stage adds up shares its channels, so they are chosen once for a stage. Raises ValueError when the
-    two differ in more than their widths, when `config` is the wider one, or without batch normalisation and
-    residual blocks.
+    The residual blocks of a stage share its channels, so these are chosen once per stage.
+
+    Raises:
+        ValueError: The networks differ in more than their widths, `config` is the wider one, or they have no
+            batch normalisation and residual blocks.
     """
     if wide.config == config:
         return wide
@@ -53,11 +55,11 @@ def _check(wide: LSNetConfig, config: LSNetConfig) -> None:
     )
     is_narrower = len(widths[0]) == len(widths[1]) and all(n <= w for w, n in zip(*widths, strict=True))
     if same != config or not is_narrower or not wide.residual or wide.norm != "batch":
-        raise ValueError("two networks that differ in more than their widths, or the wider one asked for")
+        raise ValueError("the networks differ in more than their widths, or the new one is wider")
 
 
 def _trunks(net: LSNet) -> list[list[Any]]:
-    """The layers by the sum they work on: a convolution and the residual blocks that add to its output."""
+    """Group the layers: a convolution and the residual blocks that add to its output."""
     trunks: list[list[Any]] = []
     for layer in net.extractor:
         if isinstance(layer, ConvNormAct):
@@ -67,7 +69,7 @@ def _trunks(net: LSNet) -> list[list[Any]]:
 
 
 def _slim_trunk(wide: Sequence[Any], narrow: Sequence[Any], kept_in: Tensor, readers: list[Any]) -> Tensor:
-    """Copy what stays of a trunk, and tell which of its channels do."""
+    """Copy the channels kept of a trunk, and return their numbers."""
     blocks: list[Any] = list(wide[1:])
     width = narrow[0][0].out_channels
     kept = _strongest(
@@ -90,7 +92,7 @@ def _slim_head(wide: Any, narrow: Any, kept_in: Tensor) -> None:
 
 
 def _strongest(drivers: Iterable[Any], readers: Iterable[Any], count: int) -> Tensor:
-    """The `count` channels with the greatest strength, in their order."""
+    """The `count` most important channels, in order."""
     driven = torch.stack([layer[1].weight.square() for layer in drivers]).sum(0)
     convolutions = [layer if isinstance(layer, nn.Conv2d) else layer[0] for layer in readers]
     read = torch.stack([conv.weight.square().sum((0, 2, 3)) for conv in convolutions]).sum(0)
@@ -98,7 +100,7 @@ def _strongest(drivers: Iterable[Any], readers: Iterable[Any], count: int) -> Te
 
 
 def _copy(wide: Any, narrow: Any, out: Tensor, into: Tensor) -> None:
-    """The channels `out` of a convolution and its normalisation, as far as they read the channels `into`."""
+    """Copy output channels `out` and input channels `into` of a convolution and its normalisation."""
     with torch.no_grad():
         narrow[0].weight.copy_(wide[0].weight[out][:, into])
         values = wide[1].state_dict()

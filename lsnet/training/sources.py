@@ -1,4 +1,4 @@
-"""From the command line to a run and from a run to weights: what is trained on, and what is shipped."""
+"""Sources of samples for a training run, and the export of its weights."""
 
 from __future__ import annotations
 
@@ -21,14 +21,21 @@ if TYPE_CHECKING:
 
     from lsnet.synth.dataset import SampleSource
 
-VALIDATION_SEED = 1_000_000  # added to the seed: no validation image is ever trained on
+VALIDATION_SEED = 1_000_000  # added to the seed: validation images are never trained on
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingData:
-    """Where samples come from: `backgrounds` as DIR[:FIRST] to draw on, or `data` with labels.
+    """Where samples come from: cables drawn over backgrounds, or labelled images.
 
-    With `rendered`, a folder of `model synth`, its cables lie over the backgrounds instead of drawn ones.
+    Attributes:
+        backgrounds: Folders to draw on, DIR or DIR:FIRST.
+        data: Folder of labelled images to train on instead.
+        validation: Folder of labelled images to validate on.
+        labels: Labels that count as lines; empty for all.
+        size: Side of the training images, px.
+        seed: Seed of the samples.
+        rendered: Folder of `model synth`, whose cables replace drawn ones.
     """
 
     backgrounds: tuple[str, ...]
@@ -40,7 +47,7 @@ class TrainingData:
     rendered: Path | None = None
 
     def describe(self) -> str:
-        """One line for the recipe: names, not paths."""
+        """Return one line for the recipe, with names instead of paths."""
         if self.data:
             return f"labelled {self.data.name}, {self.size} px, seed {self.seed}"
         names = [str(BackgroundFolder.parse(text)) for text in self.backgrounds]
@@ -49,9 +56,10 @@ class TrainingData:
 
 
 def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
-    """Samples to train and to validate on.
+    """Open the samples for training and for validation.
 
-    Raises LSNetError for unusable folders, another size, or what does not go together.
+    Raises:
+        LSNetError: A folder cannot be used, the size does not fit the cells, or options contradict.
     """
     if data.size % STRIDE_PX:
         raise LSNetError(f"crops of {data.size} px do not fit the cells; give a multiple of {STRIDE_PX}")
@@ -77,13 +85,14 @@ def open_sources(data: TrainingData) -> tuple[SampleSource, SampleSource]:
 
 
 def export_run(run: Path, output: Path, name: str, min_score: float, metrics: Path | None) -> str:
-    """Write the averaged weights of a run with the least validation loss; the sha256 of the file.
+    """Write the averaged weights with the least validation loss of a run; return the sha256 of the file.
 
-    Raises LSNetError when the folder holds no finished validation, or checkpoints of two networks, or the
-    metrics are no JSON lines.
+    Raises:
+        LSNetError: The folder has no finished validation, or checkpoints of two networks, or the metrics are
+            not JSON lines.
     """
     if not (run / "best.pt").is_file() or not (run / "last.pt").is_file():
-        raise LSNetError(f"{run}: no best.pt and last.pt in it; train a run to its first validation")
+        raise LSNetError(f"{run}: no best.pt and last.pt in this folder; train to the first validation")
     best = load_checkpoint(run / "best.pt")
     recipe: dict[str, Any] = load_checkpoint(run / "last.pt", LAST_KEYS)["recipe"]
     try:

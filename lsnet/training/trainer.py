@@ -1,7 +1,8 @@
-"""Training on the CPU (Section III-D): drawn images without end, or one's own, to a checkpoint folder.
+"""Training on the CPU (Section III-D), from synthetic or labelled images to checkpoints.
 
-A run folder holds `last.pt` (everything needed to go on), `best.pt` (the averaged weights with the least
-validation loss) and `log.jsonl`. A killed run goes on from `last.pt` and sees the samples it would have seen.
+The folder of a run holds `last.pt` (the state to continue from), `best.pt` (the averaged weights with the
+least validation loss) and `log.jsonl`. An interrupted run continues from `last.pt`, with the samples that it
+would have seen.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """The recipe of one run."""
+    """Recipe of one run."""
 
     preset: str = "fast"
     steps: int = 10_000
@@ -46,18 +47,18 @@ class TrainConfig:
     learning_rate: float = 2e-3
     weight_decay: float = 0.01
     warmup_steps: int = 200
-    ema_decay: float = 0.998  # of the averaged weights, which are the ones kept
+    ema_decay: float = 0.998  # of the averaged weights, which are exported
     validate_every: int = 500
     validation_images: int = 256
-    patience: int = 12  # validations without a better one before the run stops
+    patience: int = 12  # validations without improvement before the run stops
     threads: int = 1
     workers: int = 1
-    data: str = ""  # what is trained on, in words
+    data: str = ""  # description of the training data
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingProgress:
-    """What is reported while training: mean losses since the last report."""
+    """Report during training: mean losses since the last report."""
 
     step: int
     steps: int
@@ -82,9 +83,10 @@ class _Encoded(Dataset["Batch"]):
 
 
 def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterator[Batch]:
-    """Batches of the samples of `indices`, in order, encoded in worker processes.
+    """Yield the samples of `indices` in batches, in order, encoded in worker processes.
 
-    Raises LSNetError for a sample that cannot be read.
+    Raises:
+        LSNetError: A sample cannot be read.
     """
     batches = DataLoader(
         _Encoded(samples, GridCoder()),
@@ -96,7 +98,7 @@ def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterat
     )
     try:
         yield from batches
-    except LSNetError as err:  # from a worker it comes with a traceback, the message last
+    except LSNetError as err:  # from a worker it has the traceback before the message
         raise LSNetError(str(err.args[0]).rstrip().rpartition("LSNetError: ")[2]) from err
 
 
@@ -108,7 +110,7 @@ def _single_threaded(_worker: int) -> None:
 
 
 def learning_rate_at(step: int, config: TrainConfig) -> float:
-    """Linear warm-up, then a cosine down to a hundredth."""
+    """Return the learning rate: linear warm-up, then a cosine down to a hundredth."""
     if step < config.warmup_steps:
         return config.learning_rate * (step + 1) / config.warmup_steps
     t = (step - config.warmup_steps) / max(1, config.steps - config.warmup_steps)
@@ -116,7 +118,7 @@ def learning_rate_at(step: int, config: TrainConfig) -> float:
 
 
 class Trainer:
-    """One run: the network, its average, the optimizer, and how far they have come."""
+    """A run: the network, its average, the optimizer, and their progress."""
 
     def __init__(
         self,
@@ -128,12 +130,19 @@ class Trainer:
         network: LSNetConfig | None = None,
         loss: MultiTaskLoss | None = None,
     ) -> None:
-        """Start a run or go on with it.
+        """Start a run, or continue the one in the folder.
 
-        start: weights to begin with, the `best.pt` of another run or what `load_weights` takes; a narrower
-        network takes the channels of those that matter most. network, loss: another one than the preset's
-        and the usual one, to compare them.
-        Raises LSNetError when the folder holds a run of another recipe, or the network does not fit.
+        Args:
+            config: The recipe.
+            run_dir: Folder of the run.
+            seed: Of the initial weights.
+            start: Initial weights: the `best.pt` of another run, or as in `load_weights`. A narrower network
+                takes their most important channels.
+            network: Replaces that of the preset, for comparisons.
+            loss: Replaces the default loss.
+
+        Raises:
+            LSNetError: The folder holds a run with other recipe, or the network does not fit.
         """
         torch.manual_seed(seed)
         torch.set_num_threads(config.threads)
@@ -157,9 +166,10 @@ class Trainer:
     def run(
         self, samples: SampleSource, validation: SampleSource, report: Callable[[TrainingProgress], None]
     ) -> None:
-        """Train to the last step or until validation stops improving; `report` is called now and then.
+        """Train to the last step or until validation stops improving; `report` is called every 50 steps.
 
-        Raises LSNetError when the loss grows beyond all bounds or a checkpoint cannot be written.
+        Raises:
+            LSNetError: The loss is no longer finite, or a checkpoint cannot be written.
         """
         config = self.config
         if self.step >= config.steps or self.bad_validations >= config.patience:
@@ -174,7 +184,7 @@ class Trainer:
                 continue
             loss = self.validate(validation_batches)
             if not math.isfinite(loss):
-                raise LSNetError(f"{self.run_dir}: the loss grew beyond all bounds; lower the learning rate")
+                raise LSNetError(f"{self.run_dir}: the loss is no longer finite; lower the learning rate")
             report(replace(progress, validation_loss=loss))
             self._log(replace(progress, validation_loss=loss))
             self._keep(loss)
@@ -182,13 +192,13 @@ class Trainer:
                 return
 
     def validate(self, batches: list[Batch]) -> float:
-        """Mean loss of the averaged network."""
+        """Return the mean loss of the averaged network."""
         with torch.no_grad():
             losses = [float(self._losses(self.average, batch).total) for batch in batches]
         return sum(losses) / len(losses)
 
     def _epoch(self, batches: Iterator[Batch]) -> Iterator[TrainingProgress]:
-        """Step through the batches, reporting every 50 steps and before each validation."""
+        """Train on the batches; yield progress every 50 steps and before each validation."""
         totals, count, clock = np.zeros(3), 0, time.monotonic()
         for batch in batches:
             losses = self._train_step(batch)
@@ -225,7 +235,7 @@ class Trainer:
         return self.loss(output, labels, endpoints)
 
     def _update_average(self) -> None:
-        """Exponential moving average; young runs forget faster."""
+        """Update the exponential moving average, with a shorter memory in early steps."""
         decay = min(self.config.ema_decay, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
             now = self.net.state_dict()
@@ -267,7 +277,7 @@ class Trainer:
             self.net.load_state_dict(state)
         except (RuntimeError, ValueError) as err:
             raise LSNetError(
-                f"{start}: not weights of a {self.config.preset} network or a wider one; give some of those"
+                f"{start}: not weights of a {self.config.preset} network or a wider one; give such weights"
             ) from err
 
     def _restore(self) -> None:

@@ -1,1 +1,1 @@
-"""Drawn clutter: what is mistaken for cables and is none."""
+"""Drawn clutter: objects that are mistaken for cables."""

@@ -1,4 +1,4 @@
-"""Where one ground ends and another begins: kerbs, gutters, road sides, edgings, plants that hang over."""
+"""Borders between two grounds: kerbs, gutters, road sides, edgings, overhanging plants."""
 
 from __future__ import annotations
 
@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from lsnet.synth.brush import LEAST_DETAILED_PX, SCALE, SHIFT, anywhere, direction, put, smooth_noise, stroke
+from lsnet.synth.brush import MIN_DETAILED_PX, SCALE, SHIFT, anywhere, direction, put, smooth_noise, stroke
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Image = NDArray[np.uint8]
-    Rng = np.random.Generator
+    from lsnet.arrays import Floats, Floats32, ImageArray, RealArray, Rng
 
 
-def half_plane(image: Image, rng: Rng, ground: Image) -> None:
-    """Another ground, given as an image, behind a border with or without a kerb and its shadow."""
+def half_plane(image: ImageArray, rng: Rng, ground: ImageArray) -> None:
+    """Draw another ground, given as an image, behind a border with or without a kerb and its shadow."""
     height, width = image.shape[:2]
     centre, angle = anywhere(image, rng, -0.1), rng.uniform(0, 2 * np.pi)
     along, across = direction(angle), direction(angle + np.pi / 2)
@@ -25,7 +22,7 @@ def half_plane(image: Image, rng: Rng, ground: Image) -> None:
     t = np.linspace(-1.5, 1.5, 25)[:, None] * max(height, width)
     border = centre + along * t + across * bend * t**2
     ragged = border
-    if rng.random() < 0.5:  # plants that hang over the border
+    if rng.random() < 0.5:  # plants overhang the border
         steps = np.linspace(0, 24, 400)
         ragged = np.stack([np.interp(steps, np.arange(25), border[:, axis]) for axis in (0, 1)], axis=1)
         ragged = ragged + across * (rng.normal(0, 1, (400, 1)) * rng.uniform(1, 8) + rng.uniform(0, 12))
@@ -35,14 +32,14 @@ def half_plane(image: Image, rng: Rng, ground: Image) -> None:
     if rng.random() < 0.8:
         _kerb(image, rng, border, across if rng.random() < 0.5 else -across)
     alpha = (mask.astype(np.float32) / 255)[..., None]
-    if rng.random() < 0.4:  # and the shadow they throw
+    if rng.random() < 0.4:  # and cast a shadow
         shade = cv2.GaussianBlur(alpha, (0, 0), rng.uniform(1, 8))[..., None]
         put(image, image * (1 - np.float32(rng.uniform(0.2, 0.7)) * shade))
     put(image, image + alpha * (ground - image.astype(np.float32)))
 
 
-def _kerb(image: Image, rng: Rng, border: NDArray[np.floating], across: NDArray[np.floating]) -> None:
-    """Bands of different tones beside each other along a border, worn and soft, with joints now and then."""
+def _kerb(image: ImageArray, rng: Rng, border: RealArray, across: RealArray) -> None:
+    """Draw bands of different tones along a border, worn and soft, some with joints."""
     kerb_width, tone = rng.uniform(2, 26), rng.uniform(40, 245)
     layer = image.copy()
     at = 0.0
@@ -60,21 +57,19 @@ def _kerb(image: Image, rng: Rng, border: NDArray[np.floating], across: NDArray[
     put(image, image + worn * (soft.astype(np.float32) - image.astype(np.float32)))
 
 
-def _ties(
-    image: Image, rng: Rng, border: NDArray[np.floating], reach: NDArray[np.floating], tone: float
-) -> None:
-    """Short joints across a band along `border`."""
+def _ties(image: ImageArray, rng: Rng, border: RealArray, reach: RealArray, tone: float) -> None:
+    """Draw short joints across a band along `border`."""
     steps = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(border, axis=0).T))])
     for s in np.arange(0, steps[-1], rng.uniform(12, 60)):
         at = np.array([np.interp(s, steps, border[:, 0]), np.interp(s, steps, border[:, 1])])
         stroke(image, np.stack([at - reach * 0.5, at + reach]), np.full(3, tone), 1)
 
 
-def roadside(image: Image, rng: Rng) -> None:
-    """The straight edge of a road, a roof or a wall: bands of close tones between two different grounds.
+def roadside(image: ImageArray, rng: Rng) -> None:
+    """Draw the straight edge of a road, a roof or a wall: bands of similar tones between two grounds.
 
-    Paving as smooth as a cable on one side, what was there before on the other; gutter, kerb and shadow
-    between them are as thin, straight and even as cables, but never have the same ground on both sides.
+    One side is smooth paving, the other the existing ground. Gutter, kerb and shadow between them are as
+    thin, straight and even as cables, but never have the same ground on both sides.
     """
     height, width = image.shape[:2]
     angle, through = rng.uniform(0, 2 * np.pi), anywhere(image, rng, -0.1)
@@ -106,8 +101,8 @@ def roadside(image: Image, rng: Rng) -> None:
     put(image, image + alpha * (road - image.astype(np.float32)))
 
 
-def _painted(road: NDArray[np.floating], v: NDArray[np.floating], rng: Rng) -> NDArray[np.floating]:
-    """One or several painted lines along the road side; v (H, W) is the distance from it, px.
+def _painted(road: RealArray, v: RealArray, rng: Rng) -> RealArray:
+    """Draw painted lines along the road side; v (H, W) is the distance from it, px.
 
     As wide as cables and as straight, but flat in tone, and worn: the grain of the paving shows through.
     """
@@ -124,8 +119,8 @@ def _painted(road: NDArray[np.floating], v: NDArray[np.floating], rng: Rng) -> N
     return road
 
 
-def _bands(rng: Rng) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Widths in pixels of gutter, kerb faces and shadows, and their tones, the paving's before the first."""
+def _bands(rng: Rng) -> tuple[Floats, Floats32]:
+    """Widths in pixels of gutter, kerb faces and shadows, and the tones, beginning with the paving."""
     base, count = rng.uniform(30, 215), int(rng.integers(1, 6))
     widths = np.where(rng.random(count) < 0.55, rng.uniform(1, 5, count), rng.uniform(4, 18, count))
     contrast = rng.uniform(0.08, 0.6)
@@ -134,14 +129,14 @@ def _bands(rng: Rng) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     return widths, np.clip(tones, 3, 250).astype(np.float32)
 
 
-def edging(image: Image, rng: Rng) -> None:
-    """Plastic edging, silt fence, boards, an open joint: long and thin, ragged, half hidden by the ground.
+def edging(image: ImageArray, rng: Rng) -> None:
+    """Draw plastic edging, a silt fence, boards or an open joint: long, thin, ragged, partly hidden.
 
     The same ground lies on both sides; it may bend where it is staked. None in small pictures, in which
     nobody can tell it from a wire.
     """
     height, width = image.shape[:2]
-    if min(height, width) < LEAST_DETAILED_PX:
+    if min(height, width) < MIN_DETAILED_PX:
         return
     angle, through = rng.uniform(0, 2 * np.pi), anywhere(image, rng, -0.1)
     across = direction(angle + np.pi / 2)

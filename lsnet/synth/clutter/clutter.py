@@ -1,6 +1,6 @@
-"""What is mistaken for cables and is none: branches, trunks, kerbs, joints, fences, markings, furrows.
+"""Objects that are mistaken for cables: branches, trunks, kerbs, joints, fences, markings, furrows.
 
-Each kind paints onto a uint8 (H, W, 3) RGB image in place; none of it is ever labelled.
+Each kind is painted into a uint8 (H, W, 3) RGB image in place, and is never labelled.
 """
 
 from __future__ import annotations
@@ -14,14 +14,11 @@ from lsnet.synth.clutter.structures import building, fence, furrows, markings, s
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from lsnet.arrays import ImageArray, Rng
 
-    Image = NDArray[np.uint8]
-    Rng = np.random.Generator
 
-# In the order of painting, from the ground up; how likely each kind is to be painted (again).
-KINDS: dict[Callable[[Image, Rng], None], float] = {
+# In painting order, from the ground up, with the probability to paint each kind (once more).
+KINDS: dict[Callable[[ImageArray, Rng], None], float] = {
     furrows: 0.08,
     roadside: 0.35,
     markings: 0.14,
@@ -37,11 +34,11 @@ KINDS: dict[Callable[[Image, Rng], None], float] = {
     branches: 0.25,
     shrub: 0.42,
 }
-BORDER_PROBABILITY = 0.5  # of another ground, again and again
+BORDER_PROBABILITY = 0.5  # of another ground, and of one more
 
 
-def add_clutter(image: Image, rng: Rng, ground: Callable[[], Image]) -> None:
-    """Paint each kind none, one or several times; `ground` gives other backgrounds of the same size."""
+def add_clutter(image: ImageArray, rng: Rng, ground: Callable[[], ImageArray]) -> None:
+    """Paint each kind any number of times; `ground` returns other backgrounds of the same size."""
     while rng.random() < BORDER_PROBABILITY:
         half_plane(image, rng, ground())
     for paint, probability in KINDS.items():

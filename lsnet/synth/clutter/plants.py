@@ -1,4 +1,4 @@
-"""Bare trees, shrubs, trunks, leaves, cracks and vines: what grows crooked."""
+"""Bare trees, shrubs, trunks, leaves, cracks and vines."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ import numpy as np
 from lsnet.synth.brush import SCALE, SHIFT, anywhere, direction, stroke
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Image = NDArray[np.uint8]
-    Rng = np.random.Generator
+    from lsnet.arrays import ImageArray, RealArray, Rng
 
 
-def branches(image: Image, rng: Rng) -> None:
-    """A bare tree: a tapering, crooked trunk that forks into twigs."""
+def branches(image: ImageArray, rng: Rng) -> None:
+    """Draw a bare tree: a tapering, crooked trunk that forks into twigs."""
     rgb = np.clip(rng.choice([35, 80, 120, 175]) + rng.normal(0, 12) + np.array([10, 0, -12]), 0, 255)
     straightness = rng.uniform(0.05, 0.35)
     limit = int(rng.integers(60, 260))
@@ -42,8 +39,8 @@ def branches(image: Image, rng: Rng) -> None:
             stack.append((path[at], fork, length * rng.uniform(0.45, 0.8), width * rng.uniform(0.45, 0.75)))
 
 
-def shrub(image: Image, rng: Rng) -> None:
-    """Long thin twigs, nearly straight, in a fan from one root, some of them forked."""
+def shrub(image: ImageArray, rng: Rng) -> None:
+    """Draw long thin twigs, nearly straight, in a fan from one root, some of them forked."""
     root, heading = anywhere(image, rng, 0.15), rng.uniform(0, 2 * np.pi)
     rgb = np.clip(rng.choice([30, 70, 110, 160, 200]) + rng.normal(0, 12) + np.array([10, 0, -12]), 0, 255)
     fan, reach, width = rng.uniform(0.15, 0.9), rng.uniform(60, 320), rng.uniform(1.2, 7)
@@ -55,15 +52,15 @@ def shrub(image: Image, rng: Rng) -> None:
 
 
 def _twig(
-    image: Image,
+    image: ImageArray,
     rng: Rng,
-    at: NDArray[np.floating],
+    at: RealArray,
     course: tuple[float, float],
     *,
-    rgb: NDArray[np.floating],
+    rgb: RealArray,
     width: float,
 ) -> None:
-    """One tapering twig with its forks; `course` is its first heading and its length."""
+    """Draw a tapering twig with its forks; `course` is its first direction and its length."""
     angle, length = course
     turns = angle + np.cumsum(rng.normal(0, rng.uniform(0.01, 0.09), 12))
     path = np.vstack([at, at + np.cumsum(np.stack([np.cos(turns), np.sin(turns)], 1) * length / 12, axis=0)])
@@ -76,8 +73,8 @@ def _twig(
             _twig(image, rng, path[k], fork, rgb=rgb, width=width * 0.5)
 
 
-def trunk(image: Image, rng: Rng) -> None:
-    """A pole, pipe or trunk: a shaded band too wide for a cable."""
+def trunk(image: ImageArray, rng: Rng) -> None:
+    """Draw a pole, pipe or trunk: a shaded band too wide for a cable."""
     start, angle = anywhere(image, rng), rng.uniform(0, 2 * np.pi)
     width = rng.uniform(20, 60)
     end = start + direction(angle) * rng.uniform(0.3, 2.0) * max(image.shape[:2])
@@ -90,8 +87,8 @@ def trunk(image: Image, rng: Rng) -> None:
         stroke(image, np.stack([start + offset, end + offset]), np.clip(tone, 0, 255), width / 8 + 2)
 
 
-def cracks(image: Image, rng: Rng) -> None:
-    """Crooked thin lines: cracks, paths, vines, edges of shadows."""
+def cracks(image: ImageArray, rng: Rng) -> None:
+    """Draw crooked thin lines: cracks, paths, vines, edges of shadows."""
     for _ in range(int(rng.integers(1, 6))):
         steps, step = int(rng.integers(8, 40)), rng.uniform(6, 18)
         turns = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, rng.uniform(0.2, 0.6), steps))
@@ -99,8 +96,8 @@ def cracks(image: Image, rng: Rng) -> None:
         stroke(image, path, np.clip(rng.uniform(0, 255) + rng.normal(0, 10, 3), 0, 255), rng.uniform(1, 4))
 
 
-def foliage(image: Image, rng: Rng) -> None:
-    """Leaves: many small blobs of one hue, lit and in shade, over a patch or all over."""
+def foliage(image: ImageArray, rng: Rng) -> None:
+    """Draw leaves: many small blobs of one hue, lit and in shade, over a patch or everywhere."""
     height, width = image.shape[:2]
     is_dense = rng.random() < 0.45
     count, size = 2500 if is_dense else int(rng.integers(150, 900)), rng.uniform(1.5, 6)

@@ -1,4 +1,4 @@
-"""What people build and mark: roofs, lattices, paving, fences, road paint, furrows, shadows of wires."""
+"""Man-made structures: roofs, lattices, paving, fences, road paint, furrows, shadows of wires."""
 
 from __future__ import annotations
 
@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from lsnet.synth.brush import LEAST_DETAILED_PX, SCALE, SHIFT, anywhere, direction, perspective, put, stroke
+from lsnet.synth.brush import MIN_DETAILED_PX, SCALE, SHIFT, anywhere, direction, perspective, put, stroke
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Image = NDArray[np.uint8]
-    Rng = np.random.Generator
+    from lsnet.arrays import ImageArray, Rng
 
 
-def building(image: Image, rng: Rng) -> None:
-    """A box with edges: a roof with parallel ridges, or a wall with rows of openings."""
+def building(image: ImageArray, rng: Rng) -> None:
+    """Draw a box with edges: a roof with parallel ridges, or a wall with rows of openings."""
     place = perspective(image, rng)
     a, b = rng.uniform(30, 220, 2)
     rgb = np.clip(rng.uniform(40, 230) + rng.normal(0, 15, 3), 0, 255)
@@ -33,8 +30,8 @@ def building(image: Image, rng: Rng) -> None:
             stroke(image, place(np.array([[x, -b], [x, b]])), tone, rng.uniform(1, 4))
 
 
-def struts(image: Image, rng: Rng) -> None:
-    """A piece of lattice or a cross-arm: short bars that meet at angles."""
+def struts(image: ImageArray, rng: Rng) -> None:
+    """Draw a piece of lattice or a cross-arm: short bars that meet at angles."""
     joints = anywhere(image, rng, 0) + rng.normal(0, rng.uniform(25, 80), (int(rng.integers(4, 9)), 2))
     rgb = np.clip(rng.uniform(40, 235) + rng.normal(0, 8, 3), 0, 255)
     for _ in range(int(rng.integers(4, 14))):
@@ -42,8 +39,8 @@ def struts(image: Image, rng: Rng) -> None:
         stroke(image, joints[[a, b]], np.clip(rgb * rng.uniform(0.7, 1.2), 0, 255), rng.uniform(1.5, 9))
 
 
-def tile_grid(image: Image, rng: Rng) -> None:
-    """Paving, bricks, concrete slabs or roof sheets: joints in two directions over a patch."""
+def tile_grid(image: ImageArray, rng: Rng) -> None:
+    """Draw paving, bricks, concrete slabs or roof sheets: joints in two directions over a patch."""
     height, width = image.shape[:2]
     step = np.array([rng.uniform(7, 160), rng.uniform(7, 160)])
     half = rng.uniform(0.25, 1.6) * max(height, width) / 2
@@ -70,8 +67,8 @@ def tile_grid(image: Image, rng: Rng) -> None:
     cv2.addWeighted(layer, opacity, image, 1 - opacity, 0, dst=image)
 
 
-def fence(image: Image, rng: Rng) -> None:
-    """Rails on posts, or a ladder of crossings: parallel lines joined by many short ones."""
+def fence(image: ImageArray, rng: Rng) -> None:
+    """Draw rails on posts, or rungs: parallel lines joined by many short ones."""
     place = perspective(image, rng)
     half, gap = rng.uniform(0.3, 1.2) * max(image.shape[:2]), rng.uniform(6, 40)
     rgb = np.clip(rng.uniform(20, 240) + rng.normal(0, 10, 3), 0, 255)
@@ -83,8 +80,8 @@ def fence(image: Image, rng: Rng) -> None:
         stroke(image, place(post), rgb, width * rng.uniform(0.8, 1.6))
 
 
-def markings(image: Image, rng: Rng) -> None:
-    """Road paint: wide stripes, dashes, rows of parking bays."""
+def markings(image: ImageArray, rng: Rng) -> None:
+    """Draw road paint: wide stripes, dashes, rows of parking bays."""
     place = perspective(image, rng)
     rgb = np.array([235, 235, 230]) if rng.random() < 0.7 else np.array([225, 175, 60])
     rgb = np.clip(rgb * rng.uniform(0.6, 1.05) + rng.normal(0, 5, 3), 0, 255)
@@ -102,8 +99,8 @@ def markings(image: Image, rng: Rng) -> None:
             stroke(image, place(np.array([[x, 0], [x + depth * 0.3, depth]])), rgb, width)
 
 
-def furrows(image: Image, rng: Rng) -> None:
-    """A field of soft parallel rows, bent and uneven."""
+def furrows(image: ImageArray, rng: Rng) -> None:
+    """Draw a field of soft parallel rows, bent and uneven."""
     height, width = image.shape[:2]
     angle, period = rng.uniform(0, np.pi), rng.uniform(6, 60)
     x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
@@ -117,13 +114,13 @@ def furrows(image: Image, rng: Rng) -> None:
     put(image, image + (rows * np.float32(rng.uniform(6, 40)))[..., None])
 
 
-def shadows(image: Image, rng: Rng) -> None:
-    """What the sun makes of wires: soft dark lines through which the ground is seen.
+def shadows(image: ImageArray, rng: Rng) -> None:
+    """Draw shadows of wires: soft dark lines through which the ground is visible.
 
-    None in small pictures, in which nobody can tell a thin shadow from a thin dark wire.
+    Small pictures get none: in them a thin shadow looks like a thin dark wire.
     """
     height, width = image.shape[:2]
-    if min(height, width) < LEAST_DETAILED_PX:
+    if min(height, width) < MIN_DETAILED_PX:
         return
     reach = float(np.hypot(height, width))
     middle, angle, bend = anywhere(image, rng, 0), rng.uniform(0, np.pi), rng.normal(0, 0.02) / reach

@@ -1,6 +1,6 @@
-"""Conductors as they are made: helical strands in layers that twist opposite ways, on a hanging cable.
+"""Stranded conductors: helical strands in layers of opposite twist, along a hanging cable.
 
-World coordinates in metres, z up. Lengths of a cable are small against its span, so it hangs as a parabola.
+World coordinates in metres, z up. The visible stretch is short compared with the span, so it is a parabola.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from lsnet.arrays import Points
 
-    Points = NDArray[np.float64]
 
 LAYERS = (1, 6, 12)  # strands of an ACSR conductor, the steel core first
 LAY_DIAMETERS = 12.0  # length of a turn, in outer diameters of its layer
@@ -22,9 +21,12 @@ POINTS_PER_TURN = 10
 
 @dataclass(frozen=True, slots=True)
 class Hang:
-    """A stretch of a hanging cable, level or sloping along the unit vector `along` at its `middle`.
+    """A stretch of a hanging cable.
 
-    curvature: second derivative of its height, 1/m.
+    Attributes:
+        middle: Its middle, x, y, z in m.
+        along: Unit vector along it there.
+        curvature: Second derivative of its height, 1/m.
     """
 
     middle: tuple[float, float, float]
@@ -32,13 +34,13 @@ class Hang:
     curvature: float
 
     def points(self, s: Points) -> Points:
-        """(K, 3) centreline at the positions s (K,) in metres from the middle."""
+        """Return the (K, 3) centreline at positions s (K,) in metres from the middle."""
         line: Points = np.array(self.middle) + s[:, None] * np.array(self.along)
         line[:, 2] += self.curvature * s**2 / 2
         return line
 
     def frame(self, s: Points) -> tuple[Points, Points]:
-        """(K, 3) two unit vectors across the cable at s, at right angles to it and to each other."""
+        """Return two unit vectors (K, 3) across the cable at s, perpendicular to it and to each other."""
         tangent = np.array(self.along) + np.stack([0 * s, 0 * s, self.curvature * s], axis=1)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         side: Points = np.cross(tangent, [0.0, 0.0, 1.0])
@@ -47,10 +49,10 @@ class Hang:
 
 
 def strands(hang: Hang, radius_m: float, half_length_m: float) -> tuple[list[Points], float]:
-    """(K, 3) centreline of each strand of a stranded conductor of that radius, and the strands' own radius.
+    """Return the (K, 3) centrelines of the strands of a conductor, and the radius of a strand.
 
-    Strands of a layer lie side by side about the layer within, so with two layers about the core the
-    conductor is five strands wide. Each layer twists against the one below.
+    The strands of a layer lie side by side around the inner one, so a conductor with two layers around the
+    core is five strands wide. Layers twist in opposite directions.
     """
     strand_m = radius_m / (2 * len(LAYERS) - 1)
     found = []
@@ -68,7 +70,7 @@ def strands(hang: Hang, radius_m: float, half_length_m: float) -> tuple[list[Poi
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole that looks at a point: square images of `size` pixels, `fov_deg` from side to side."""
+    """A pinhole camera that looks at a point; square images of `size` pixels, `fov_deg` from side to side."""
 
     origin: tuple[float, float, float]
     target: tuple[float, float, float]
@@ -81,7 +83,7 @@ class Camera:
         return float(self.size / 2 / np.tan(np.radians(self.fov_deg) / 2))
 
     def project(self, points: Points) -> Points:
-        """(K, 2) pixels x, y of points (K, 3), those behind the camera left out."""
+        """Project points (K, 3) to pixels x, y (K, 2); points behind the camera are dropped."""
         forward = np.array(self.target) - np.array(self.origin)
         forward = forward / np.linalg.norm(forward)
         right = np.cross(forward, [0.0, 0.0, 1.0])

@@ -1,6 +1,6 @@
-"""What holds cables, hides them and is mistaken for them: poles, lattice towers, strings of insulators.
+"""Line hardware: poles, lattice towers, strings of insulators.
 
-All of it is rods: cylinders from a point to a point, with a radius, in metres.
+All parts are rods: cylinders between two points, with a radius, in metres.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from lsnet.arrays import Floats, RealArray
 
-    Point = NDArray[np.float64]
     Triple = tuple[float, float, float]
     Rod = tuple[Triple, Triple, float]
 
@@ -21,19 +20,19 @@ DISC_M, PITCH_M = 0.127, 0.146  # radius and spacing of cap-and-pin insulators (
 PIN_M = 0.03
 
 
-def triple(vector: NDArray[np.floating]) -> Triple:
-    """A point x, y, z as Mitsuba takes it."""
+def triple(vector: RealArray) -> Triple:
+    """Return a vector as a tuple x, y, z, as Mitsuba takes it."""
     x, y, z = vector.tolist()
     return x, y, z
 
 
-def pole(foot: Point, height_m: float, radius_m: float) -> list[Rod]:
-    """One upright rod."""
+def pole(foot: Floats, height_m: float, radius_m: float) -> list[Rod]:
+    """Return one upright rod."""
     return [(triple(foot), triple(foot + np.array([0, 0, height_m])), radius_m)]
 
 
-def lattice_tower(foot: Point, height_m: float, width_m: float, n_panels: int) -> list[Rod]:
-    """Four legs that lean together to a third of their distance, with crossed braces on every face."""
+def lattice_tower(foot: Floats, height_m: float, width_m: float, n_panels: int) -> list[Rod]:
+    """Return four legs that converge to a third of their distance, with crossed braces on each side."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2
     levels = np.linspace(0, 1, n_panels + 1)
     rings = [foot + corners * width_m * (1 - 2 * t / 3) + [0, 0, t * height_m] for t in levels]
@@ -47,8 +46,8 @@ def lattice_tower(foot: Point, height_m: float, width_m: float, n_panels: int) -
     return rods
 
 
-def insulators(below: Point, n_discs: int) -> list[Rod]:
-    """A string of discs on a pin that holds a cable from above; `below` is its lower end."""
+def insulators(below: Floats, n_discs: int) -> list[Rod]:
+    """Return a string of discs on a pin that holds a cable from above; `below` is its lower end."""
     up = np.array([0.0, 0.0, PITCH_M])
     pin = (triple(below), triple(below + up * (n_discs + 1)), PIN_M)
     discs = [

@@ -1,6 +1,6 @@
 """A folder of rendered pictures: PNG with alpha, and the centrelines of each as JSON.
 
-Picture i of a seed is always the same scene, and is written once: a stopped run goes on where it was.
+Picture i of a seed is always the same scene, and is written once: an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -31,15 +31,16 @@ def render_many(
     workers: int,
     on_image: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write the first `count` pictures of a seed, `size` px wide and high, in so many processes.
+    """Write the first `count` pictures of a seed, `size` px wide and high, by `workers` processes.
 
-    Raises LSNetError when Mitsuba is not installed, the folder cannot be written or holds pictures of another
-    size or seed, or a light cannot be read.
+    Raises:
+        LSNetError: Mitsuba is not installed, the folder cannot be written or holds pictures of another size
+            or seed, or an environment map cannot be read.
     """
     load_mitsuba()
     maps = sorted(lights.glob("*.hdr")) if lights else []
     if lights and not maps:
-        raise LSNetError(f"{lights}: no .hdr files in it; give a folder of environment maps")
+        raise LSNetError(f"{lights}: no .hdr files in this folder; give a folder of environment maps")
     make_folder(folder)
     task = partial(_render_one, folder=folder, lights=maps, size=size, seed=seed)
     if workers == 1:
@@ -53,7 +54,7 @@ def render_many(
 
 
 def _render_one(index: int, folder: Path, lights: Sequence[Path], size: int, seed: int) -> None:
-    """Write picture `index` and, last, its truth; nothing when the truth is there already."""
+    """Write picture `index` and, last, its truth; do nothing if the truth exists."""
     truth = folder / f"{index:06d}.json"
     if truth.exists():
         _check_same(truth, {"size": [size, size], "seed": seed})
@@ -73,6 +74,8 @@ def _check_same(truth: Path, expected: dict[str, object]) -> None:
         content = json.loads(truth.read_text())
         is_same = all(content[key] == value for key, value in expected.items())
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as err:
-        raise LSNetError(f"{truth}: not of a rendered picture ({err}); remove it and its PNG") from err
+        raise LSNetError(
+            f"{truth}: not the truth of a rendered picture ({err}); remove it and its PNG"
+        ) from err
     if not is_same:
         raise LSNetError(f"{truth}: of another size or seed; give another folder")

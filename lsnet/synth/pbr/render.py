@@ -1,8 +1,8 @@
 """Physically based pictures of cables with Mitsuba 3 (extra `synth`), with alpha.
 
-Stranded aluminium, insulated and rusty cables, alone, in families and in bundles with spacers, now and then
-held by strings of insulators, with a pole or a lattice tower beside them; lit by environment maps or a sunny
-sky; out of focus by a real lens.
+Stranded aluminium, insulated and rusty cables, alone, in families and in bundles with spacers, some held by
+strings of insulators or beside a pole or a lattice tower; lit by environment maps or a sunny sky, through a
+lens of finite aperture.
 """
 
 from __future__ import annotations
@@ -20,21 +20,19 @@ from lsnet.synth.pbr.conductors import Camera, Hang, strands
 from lsnet.synth.pbr.hardware import insulators, lattice_tower, pole, triple
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import Floats, ImageArray, Rng
     from lsnet.synth.pbr.hardware import Rod
 
-    Rng = np.random.Generator
 
-LEAST_STRANDED_PX = 4.0  # strands of thinner cables cannot be seen
-MARGIN = 1.3  # of what the camera sees, that cables reach beyond it on either side
-SAMPLES = 32  # rays a pixel
-INSULATED_SHARE = 0.15  # of cables or bundles hang from a string of insulators that is seen
+MIN_STRANDED_PX = 4.0  # strands of thinner cables are not visible
+MARGIN = 1.3  # factor by which cables are longer than the visible width
+SAMPLES = 32  # rays per pixel
+INSULATED_SHARE = 0.15  # of cables or bundles hang from a visible string of insulators
 
 
 @dataclass(frozen=True, slots=True)
 class Cable:
-    """One conductor of a scene: how it hangs, its radius, and a Mitsuba material for it."""
+    """One conductor of a scene: its course, its radius and its Mitsuba material."""
 
     hang: Hang
     radius_m: float
@@ -53,14 +51,14 @@ class SceneLayout:
     aperture_m: float
     focus_m: float
 
-    def lines(self) -> list[NDArray[np.float64]]:
-        """(K, 2) centreline of each cable in pixels."""
+    def lines(self) -> list[Floats]:
+        """Return the (K, 2) centreline of each cable in pixels."""
         s = np.linspace(-self.half_length_m, self.half_length_m, 129)
         return [self.camera.project(cable.hang.points(s)) for cable in self.cables]
 
 
 def lay_out(rng: Rng, size: int) -> SceneLayout:
-    """A random scene; sizes follow from how wide the cables are to be in the image."""
+    """Make a random scene; its sizes follow from a random width of the cables in the image."""
     radius_m, fov_deg = rng.uniform(0.006, 0.018), rng.uniform(18, 55)
     width_px = float(np.exp(rng.uniform(np.log(1.5), np.log(28))))
     focal_px = size / 2 / np.tan(np.radians(fov_deg) / 2)
@@ -91,7 +89,7 @@ def _structure(rng: Rng, seen_m: float) -> list[Rod]:
 
 
 def _family(rng: Rng, seen_m: float, radius_m: float, width_px: float) -> tuple[list[Cable], list[Rod]]:
-    """Cables side by side through what is seen, each alone or a bundle of 2 to 4 with spacers."""
+    """Cables side by side through the view, single ones or bundles of 2 to 4 with spacers."""
     cables: list[Cable] = []
     rods: list[Rod] = []
     curvature, slope = abs(rng.normal(0, 0.06)) / seen_m, rng.normal(0, 0.08)
@@ -123,10 +121,10 @@ _BUNDLES: dict[int, list[tuple[float, float, float]]] = {
 
 
 def _material(rng: Rng, width_px: float) -> tuple[dict[str, Any], bool]:
-    """Aluminium from bright to weathered, insulation, or rust; and whether strands are to be seen."""
+    """Aluminium from bright to weathered, insulation, or rust; and whether strands are visible."""
     kind, is_wide = (
         rng.choice(["aluminium", "insulated", "rusty"], p=[0.6, 0.27, 0.13]),
-        width_px > LEAST_STRANDED_PX,
+        width_px > MIN_STRANDED_PX,
     )
     if kind == "aluminium":
         tint = {"type": "rgb", "value": [float(rng.uniform(0.25, 1.0))] * 3}
@@ -145,10 +143,11 @@ def _material(rng: Rng, width_px: float) -> tuple[dict[str, Any], bool]:
     return {"type": "roughplastic", "diffuse_reflectance": diffuse, "alpha": 0.25}, False
 
 
-def render(layout: SceneLayout, light: Path | None, rng: Rng, samples: int = SAMPLES) -> NDArray[np.uint8]:
-    """(H, W, 4) sRGB and alpha, not multiplied in, of a scene under an environment map or a sunny sky.
+def render(layout: SceneLayout, light: Path | None, rng: Rng, samples: int = SAMPLES) -> ImageArray:
+    """Render a scene under an environment map or a sunny sky; (H, W, 4) sRGB with straight alpha.
 
-    Raises LSNetError when Mitsuba is not installed or cannot read the map.
+    Raises:
+        LSNetError: Mitsuba is not installed or cannot read the map.
     """
     mi = load_mitsuba()
     camera = layout.camera
@@ -182,12 +181,12 @@ def render(layout: SceneLayout, light: Path | None, rng: Rng, samples: int = SAM
         except RuntimeError as err:
             if light is None:
                 raise
-            raise LSNetError(f"{light}: cannot be rendered with; take it out of the folder") from err
+            raise LSNetError(f"{light}: cannot be used as a light; remove it from the folder") from err
     return exposed(pixels, rng.uniform(0.08, 1.1))  # from dim to white
 
 
 def _shapes(mi: Any, rod: Rod) -> list[dict[str, Any]]:
-    """A cylinder; one that is wider than long, with its two ends closed."""
+    """A cylinder, with closed ends if it is wider than long."""
     start, end, radius_m = rod
     shapes: list[dict[str, Any]] = [{"type": "cylinder", "p0": start, "p1": end, "radius": radius_m}]
     axis = np.subtract(end, start)
@@ -201,7 +200,7 @@ def _shapes(mi: Any, rod: Rod) -> list[dict[str, Any]]:
 
 
 def _curves(cable: Cable, half_length_m: float) -> str:
-    """Control points with radius, as Mitsuba reads them: a line each, curves apart by an empty line."""
+    """Control points with radius in Mitsuba's format: one per line, an empty line between curves."""
     if cable.is_stranded:
         curves, radius_m = strands(cable.hang, cable.radius_m, half_length_m)
     else:
@@ -223,8 +222,8 @@ def _light(mi: Any, light: Path | None, rng: Rng) -> dict[str, Any]:
     return {"type": "envmap", "filename": str(light), "to_world": upright}
 
 
-def exposed(pixels: NDArray[np.float64], brightness: float) -> NDArray[np.uint8]:
-    """As sRGB and alpha, linear (H, W, 4) with the bright parts of cables at a brightness; 1 is white."""
+def exposed(pixels: Floats, brightness: float) -> ImageArray:
+    """Convert linear (H, W, 4) to sRGB with alpha; bright parts of cables get `brightness`, 1 is white."""
     alpha = np.clip(pixels[..., 3:], 0, 1)
     colour = np.maximum(np.nan_to_num(pixels[..., :3]), 0) / np.maximum(alpha, 1e-3)
     is_cable = alpha[..., 0] > 0.3
@@ -234,7 +233,7 @@ def exposed(pixels: NDArray[np.float64], brightness: float) -> NDArray[np.uint8]
 
 
 def load_mitsuba() -> Any:
-    """Mitsuba, on one thread; raises LSNetError when it is not installed."""
+    """Import Mitsuba, on one thread. Raises LSNetError when it is not installed."""
     try:
         import drjit  # noqa: PLC0415 -- an extra
         import mitsuba  # noqa: PLC0415

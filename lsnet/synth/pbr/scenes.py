@@ -1,4 +1,4 @@
-"""Rendered cables over photographs as training data: the paper's own (Section III-A)."""
+"""Rendered cables over photographs as training data, as in the paper (Section III-A)."""
 
 from __future__ import annotations
 
@@ -17,36 +17,39 @@ from lsnet.synth.geometric import crops_and_flips, over, rotate, zoom
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from lsnet.arrays import FloatImage, Floats
     from lsnet.synth.backgrounds import BackgroundPool
     from lsnet.synth.geometric import Labelled
 
-    Image = NDArray[np.float32]
 
-BACKGROUNDS = 5  # of each crop, as in the paper
-SHADOW_SHARE = 0.2  # of the images, in which cables throw shadows
-MOVE_SHARE = 0.25  # likewise of zoom and of rotation
+BACKGROUNDS = 5  # per crop, as in the paper
+SHADOW_SHARE = 0.2  # of images in which cables cast shadows
+MOVE_SHARE = 0.25  # of images that are zoomed, and of those that are rotated
 
 
 class RenderedScenes:
-    """Pictures of `model synth`, each as five crops and their flips, each of these over five backgrounds.
+    """Pictures of `model synth`, as five crops and their flips, each over five backgrounds.
 
-    On the fly they are zoomed, turned and augmented. Sample i is always the same; all pictures, crops and
-    backgrounds come before any comes again, otherwise augmented. Raises LSNetError for a folder without.
+    They are zoomed, rotated and augmented on the fly. Sample i is always the same. All pictures, crops and
+    backgrounds are used before any is repeated with another augmentation.
+
+    Raises:
+        LSNetError: The folder has no pictures.
     """
 
     def __init__(self, folder: Path, pool: BackgroundPool, size: int = 384, seed: int = 0) -> None:
         self.size, self._pool, self._seed = size, pool, seed
         self._truths = sorted(folder.glob("[0-9]*.json"))
         if not self._truths:
-            raise LSNetError(f"{folder}: no rendered pictures in it; make some with lsnet-pipe model synth")
+            raise LSNetError(
+                f"{folder}: no rendered pictures in this folder; make some with lsnet-pipe model synth"
+            )
 
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self._seed, index])
         truth = self._truths[index % len(self._truths)]
         turn = index // len(self._truths)
-        # The crops of a picture are the same whatever background they come over.
+        # The crops of a picture do not depend on the background.
         versions = crops_and_flips(
             *_load(truth), np.random.default_rng([self._seed, 1, index % len(self._truths)])
         )
@@ -60,18 +63,20 @@ class RenderedScenes:
         image, lines = augment_further(_composed(cables, ground), lines, rng)
         return Sample(to_uint8(image), lines)
 
-    def _ground(self, rng: np.random.Generator) -> Image:
+    def _ground(self, rng: np.random.Generator) -> FloatImage:
         scene = to_uint8(self._pool.sample(rng, self.size))
         add_clutter(scene, rng, lambda: to_uint8(self._pool.sample(rng, self.size)))
         return scene.astype(np.float32)
 
 
 def _load(truth: Path) -> Labelled:
-    """(H, W, 4) colours multiplied by alpha, so that moving them mixes rightly; and the lines."""
+    """(H, W, 4) premultiplied colours, so that interpolation blends correctly; and the lines."""
     try:
         lines = [np.array(line, float) for line in json.loads(truth.read_text())["lines"]]
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as err:
-        raise LSNetError(f"{truth}: not of a rendered picture ({err}); remove it and its PNG") from err
+        raise LSNetError(
+            f"{truth}: not the truth of a rendered picture ({err}); remove it and its PNG"
+        ) from err
     pixels = cv2.imread(str(truth.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.ndim != 3 or pixels.shape[2] != 4:
         raise LSNetError(f"{truth}: its PNG is missing or has no alpha; remove it, and render it again")
@@ -80,14 +85,14 @@ def _load(truth: Path) -> Labelled:
     return image, lines
 
 
-def _fitted(cables: Image, lines: list[NDArray[np.float64]], size: int) -> Labelled:
-    """Scaled to (size, size); crops are as square as the picture."""
+def _fitted(cables: FloatImage, lines: list[Floats], size: int) -> Labelled:
+    """Scale to (size, size); crops are square like the picture."""
     factor = np.array([size / cables.shape[1], size / cables.shape[0]])
     how = cv2.INTER_AREA if factor[0] < 1 else cv2.INTER_LINEAR
     scaled = cv2.resize(cables, (size, size), interpolation=how)
     return np.asarray(scaled, np.float32), [line * factor for line in lines]
 
 
-def _composed(cables: Image, ground: Image) -> Image:
+def _composed(cables: FloatImage, ground: FloatImage) -> FloatImage:
     alpha = cables[..., 3:] / 255
     return over(np.concatenate([cables[..., :3] / np.maximum(alpha, 1e-3), alpha], axis=2), ground)

@@ -1,4 +1,4 @@
-"""Wires of a known scene as Mitsuba 3 sees them (extra `synth`): colours and alpha, to lay over a picture."""
+"""Render the wires of a known scene by Mitsuba 3 (extra `synth`), with alpha for composing over a picture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from lsnet.synth.pbr.render import SAMPLES, exposed, load_mitsuba
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from lsnet.arrays import Floats, ImageArray
+
 
 _ALUMINIUM = {
     "type": "roughconductor",
@@ -27,21 +28,27 @@ _BRIGHTNESS = 0.75  # linear, of the brightest wires
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A pinhole camera: (3,) where it is, (3, 3) right, down and ahead, and an image of (height, width)."""
+    """A pinhole camera: position (3,); rotation (3, 3) with rows right, down, ahead; (height, width)."""
 
-    position: NDArray[np.float64]
-    rotation: NDArray[np.float64]
+    position: Floats
+    rotation: Floats
     focal_px: float
     image_size: tuple[int, int]
 
 
-def render_wires(
-    wires: Sequence[tuple[NDArray[np.float64], float]], view: View, sun: NDArray[np.float64]
-) -> NDArray[np.uint8]:
-    """(H, W, 4) sRGB and alpha, not multiplied in, of aluminium wires under a clear sky; z is up.
+def render_wires(wires: Sequence[tuple[Floats, float]], view: View, sun: Floats) -> ImageArray:
+    """Render aluminium wires under a clear sky; the same wires give the same image.
 
-    wires: (N, 3) points in m, at even steps along each, and its radius. sun: (3,) towards it. The same wires
-    give the same image. Raises LSNetError when Mitsuba is not installed.
+    Args:
+        wires: Per wire, points (N, 3) at even steps along it, z up, and its radius, all in m.
+        view: The camera.
+        sun: (3,) direction towards the sun.
+
+    Returns:
+        (H, W, 4) sRGB with straight alpha.
+
+    Raises:
+        LSNetError: Mitsuba is not installed.
     """
     mi = load_mitsuba()
     height, width = view.image_size

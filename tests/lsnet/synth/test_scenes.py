@@ -276,7 +276,7 @@ def test_background_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> 
     (tmp_path / "bad/a.jpg").write_text("no image")
     with pytest.raises(LSNetError, match="not a folder"):
         BackgroundFolder.parse(f"{tmp_path}/none:3").files()
-    with pytest.raises(LSNetError, match="no images in it"):
+    with pytest.raises(LSNetError, match="no images in this folder"):
         BackgroundFolder.parse(str(tmp_path / "empty")).files()
     with pytest.raises(LSNetError, match=r"a\.jpg: cannot be read as an image"):
         BackgroundPool([BackgroundFolder.parse(str(tmp_path / "bad"))])

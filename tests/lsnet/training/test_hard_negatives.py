@@ -84,7 +84,7 @@ def test_squares_that_would_replace_each_other_are_one_line(tmp_path: Path) -> N
     for folder, name in (("a/photos", "1.png"), ("b/photos", "1.jpg")):
         (tmp_path / folder).mkdir(parents=True)
         cv2.imwrite(str(tmp_path / folder / name), position_photo(40, 40))
-    with pytest.raises(LSNetError, match=r"1\.png and .*1\.jpg would have squares of one name"):
+    with pytest.raises(LSNetError, match=r"1\.png and .*1\.jpg would have squares of the same names"):
         list(
             mining.mine(
                 cast("Detector", Told([])), [f"{tmp_path}/{k}/photos" for k in "ab"], tmp_path / "hard"

@@ -100,14 +100,14 @@ def test_pictures_are_made_once_and_the_same(tmp_path: Path, workers: int) -> No
 
 def test_no_lights_are_one_line(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
-    with pytest.raises(LSNetError, match=r"no \.hdr files in it"):
+    with pytest.raises(LSNetError, match=r"no \.hdr files in this folder"):
         render_many(tmp_path / "a", 1, lights=tmp_path, size=64, seed=0, workers=1)
 
 
 def test_a_damaged_light_is_one_line(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     (tmp_path / "sky.hdr").write_text("no radiance")
-    with pytest.raises(LSNetError, match=r"sky\.hdr: cannot be rendered with; take it out"):
+    with pytest.raises(LSNetError, match=r"sky\.hdr: cannot be used as a light; remove it"):
         render_many(tmp_path / "a", 1, lights=tmp_path, size=64, seed=0, workers=1)
 
 
@@ -149,7 +149,7 @@ def test_a_folder_without_pictures_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LSNetError, match="make some with lsnet-pipe model synth"):
         RenderedScenes(tmp_path, BackgroundPool([]))
     (tmp_path / "000000.json").write_text("{}")
-    with pytest.raises(LSNetError, match=r"000000\.json: not of a rendered picture"):
+    with pytest.raises(LSNetError, match=r"000000\.json: not the truth of a rendered picture"):
         RenderedScenes(tmp_path, BackgroundPool([]))[0]
 
 

@@ -87,10 +87,11 @@ def main() -> None:
         exit_code = app(standalone_mode=False)
         sys.stdout.flush()
     except SystemExit as stop:
-        exit_code = stop.code
-    except BrokenPipeError:  # the reader of stdout has seen enough, as in `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # Typer exits with 1 after a BrokenPipeError: the reader of stdout has seen enough, as in `| head`.
+        exit_code = 0 if isinstance(stop.__context__, BrokenPipeError) else stop.code
+    except BrokenPipeError:
         exit_code = 0
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing is left to be flushed
     except Exception as error:
         exit_if_stopped()  # DuckDB turns a stop during a statement into an error of its own
         exit_code = report_usage(error) or report_error(error)

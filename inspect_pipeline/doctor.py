@@ -27,14 +27,14 @@ class Diagnosis:
     is_ok: bool = True
 
 
-def examine(store: Store) -> Iterator[Diagnosis]:
+def examine(store: Store, *, load: bool = False) -> Iterator[Diagnosis]:
     """All findings, those that take longest last."""
     yield Diagnosis("lsnet-pipe", version("lsnet-pipe"))
     yield Diagnosis("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
     for package in _PACKAGES:
         yield Diagnosis(package, _version_of(package))
     yield _examine_store(store)
-    yield _examine_detector()
+    yield _examine_detector(load=load)
 
 
 def _version_of(package: str) -> str:
@@ -54,17 +54,23 @@ def _examine_store(store: Store) -> Diagnosis:
     except InspectError as error:
         return Diagnosis("store", str(error), is_ok=False)
     free_gib = shutil.disk_usage(store.root).free / 2**30
-    state = f"{store.root}: {len(flights)} flights, {len(damaged)} damaged, {free_gib:.1f} GiB free"
+    n_flights = "1 flight" if len(flights) == 1 else f"{len(flights)} flights"
+    state = f"{store.root}: {n_flights}, {len(damaged)} damaged, {free_gib:.1f} GiB free"
     if flights and not store.index_path.exists():
         return Diagnosis("store", f"{state}, no index; run lsnet-pipe index rebuild", is_ok=False)
     return Diagnosis("store", state, is_ok=not damaged)
 
 
-def _examine_detector() -> Diagnosis:
-    from lsnet import Detector, LSNetError  # noqa: PLC0415 - seconds to import
+def _examine_detector(*, load: bool) -> Diagnosis:
+    """Describe the detector that is used by default; loading it takes seconds and tells whether it works."""
+    from lsnet.description import describe_detector  # noqa: PLC0415 - imports OpenVINO
 
-    try:
-        description = Detector.load().describe()
-    except LSNetError as error:
-        return Diagnosis("detector", str(error), is_ok=False)
+    description = None if load else describe_detector()
+    if description is None:
+        from lsnet import Detector, LSNetError  # noqa: PLC0415 - imports torch
+
+        try:
+            description = Detector.load().describe()
+        except LSNetError as error:
+            return Diagnosis("detector", str(error), is_ok=False)
     return Diagnosis("detector", ", ".join(f"{name} {value}" for name, value in description.items()))

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator, message_format
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
 from inspect_pipeline.errors import EmptyResultError
-from inspect_pipeline.georeference.frames import Georeferencer
 from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
@@ -66,7 +65,7 @@ class ProcessedFrame(NamedTuple):
 def process(
     path: str | os.PathLike[str],
     store: Store | str | os.PathLike[str],
-    detector: Detector | None = None,
+    detector: Detector | Callable[[], Detector] | None = None,
     options: ProcessOptions = DEFAULT_OPTIONS,
     run: RunRecord | None = None,
     *,
@@ -80,7 +79,8 @@ def process(
     Args:
         path: an MCAP file, or the folder of a split recording.
         store: the store, or its folder, which is created where it is missing.
-        detector: by default the shipped weights.
+        detector: by default the shipped weights. A function that loads one is called only if there is
+            something to detect and `run` is given.
         options: the cameras, frames and outputs.
         run: the run that the flight belongs to; by default one of its own.
         on_progress: called after every batch of frames.
@@ -97,11 +97,13 @@ def process(
         skipped = ProcessResult(recording.flight_id, str(path), "skipped", path.absolute(), 0, 0, 0, 0.0)
         return replace(skipped, reason="it is an annotated copy")
     cameras = recording.select_cameras(options.topics)
-    detector = detector or load_detector()
-    run = run or start_run(detector, options)
+    if run is None:
+        detector = _load(detector)
+        run = start_run(detector, options)
     known = store.load_flight(recording.flight_id)
     if known and _is_done(known, run, options):
         return _to_skipped(_to_result(known, path, store, started))
+    detector = _load(detector)
     with store.lock_flight(recording.flight_id), store.write_flight(recording.flight_id) as staging:
         known = store.load_flight(recording.flight_id)  # by a process that held the lock
         if known and _is_done(known, run, options):
@@ -126,6 +128,12 @@ def _to_skipped(result: ProcessResult) -> ProcessResult:
     if result.status == "failed":
         return result
     return replace(result, status="skipped", reason=None, warnings=())
+
+
+def _load(detector: Detector | Callable[[], Detector] | None) -> Detector:
+    if detector is None:
+        return load_detector()
+    return detector() if callable(detector) else detector
 
 
 def _refuse_empty(path: Path, known: FlightRecord, record: FlightRecord) -> None:
@@ -184,6 +192,8 @@ def _write_flight(
 ) -> FlightRecord:
     """Detect and track the lines of every frame, and write annotations and tables into `folder`."""
     model = model_record(detector)
+    from inspect_pipeline.georeference.frames import Georeferencer  # noqa: PLC0415 - SciPy, half a second
+
     georeferencer = Georeferencer.of(recording, cameras, options.placing)
     tracker = FlightTracker()
     frames = iter_frames(

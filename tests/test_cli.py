@@ -448,7 +448,7 @@ def test_doctor(run: Callable[..., Outcome], tmp_path: Path) -> None:
     assert "none yet" in outcome.out
     make_recording(tmp_path / "a.mcap", shots(2))
     run("process", "a.mcap")
-    assert "1 flights, 0 damaged" in run("doctor").out
+    assert "1 flight, 0 damaged" in run("doctor").out
     (tmp_path / "store" / "index.duckdb").unlink()
     outcome = run("doctor")
     assert outcome.exit_code == 1

@@ -16,10 +16,11 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.batch.executor import POLL_S, START_S, Executor, Worker, signals_blocked
-from inspect_pipeline.batch.worker import WorkerFailure
+from inspect_pipeline.batch.worker import LoadDetector, WorkerFailure
 from inspect_pipeline.errors import DetectorError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from inspect_pipeline.batch.worker import Job
@@ -76,6 +77,12 @@ class _Process(Worker):
 
 class LocalExecutor(Executor[_Process]):
     """Up to `n_workers` processes."""
+
+    def describe(self) -> Mapping[str, str | int | float]:
+        """Return what the detector says about itself, without a worker where possible."""
+        if self._description is None and isinstance(self._job.make_detector, LoadDetector):
+            self._description = self._job.make_detector.describe()
+        return super().describe()
 
     def _start_worker(self) -> _Process:
         try:

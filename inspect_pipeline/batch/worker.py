@@ -52,6 +52,14 @@ class LoadDetector:
     min_score: float | None = None
     runtime: str = "auto"
 
+    def describe(self) -> dict[str, str | int | float] | None:
+        """Return what the detector will say about itself, or None where only loading can tell."""
+        from lsnet.description import describe_detector  # noqa: PLC0415
+
+        return describe_detector(
+            self.weights, runtime=self.runtime, scale=self.scale, min_score=self.min_score
+        )
+
     def __call__(self) -> Detector:
         from lsnet import Detector, LSNetError  # noqa: PLC0415 - the parent does without torch
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.detector import load_detector
+from inspect_pipeline.commands.detector import LateDetector
 from inspect_pipeline.commands.options import (
     JsonOption,
     MinScoreOption,
@@ -61,7 +61,7 @@ def detect(
     if not paths:
         raise typer.Exit(1)
 
-    detector = load_detector(weights, runtime, scale, min_score)
+    detector = LateDetector(weights, runtime, scale, min_score).load()
     from inspect_pipeline.photos import check_outputs, detect_in, write_map, write_overlay
 
     check_outputs(paths, draw, confidence)

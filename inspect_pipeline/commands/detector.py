@@ -2,17 +2,45 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
-from inspect_pipeline.commands.interrupts import nothing_to_clean_up
+from inspect_pipeline.commands.interrupts import stop_after_block
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from lsnet import Detector
 
 
-def load_detector(weights: str, runtime: str, scale: float | None, min_score: float | None) -> Detector:
-    """Load a detector. Raises LSNetError."""
-    with nothing_to_clean_up():
-        from lsnet import Detector
+class _Options(NamedTuple):
+    weights: str
+    runtime: str
+    scale: float | None
+    min_score: float | None
 
-        return Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)
+
+class LateDetector:
+    """The options of a detector, which is loaded once, when it is first needed."""
+
+    def __init__(self, weights: str, runtime: str, scale: float | None, min_score: float | None) -> None:
+        self._options = _Options(weights, runtime, scale, min_score)
+
+    def describe(self) -> Mapping[str, str | int | float]:
+        """Return what determines the results, without loading where possible. Raises LSNetError."""
+        from lsnet.description import describe_detector
+
+        options = self._options._asdict()
+        return describe_detector(options.pop("weights"), **options) or self.load().describe()
+
+    def load(self) -> Detector:
+        """Return the detector. Raises LSNetError."""
+        return self._detector
+
+    @cached_property
+    def _detector(self) -> Detector:
+        with stop_after_block():
+            from lsnet import Detector
+
+            weights, runtime, scale, min_score = self._options
+            return Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)

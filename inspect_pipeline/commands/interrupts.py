@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NoReturn
 
@@ -32,17 +33,29 @@ def exit_if_stopped() -> None:
 
 
 @contextmanager
-def nothing_to_clean_up() -> Iterator[None]:
-    """Let both signals end the program at once inside the block.
+def stop_after_block() -> Iterator[None]:
+    """Delay a stop to the end of the block; a second signal ends the program at once.
 
     For the import of torch and OpenVINO, whose C++ aborts when a Python exception passes through it.
     """
-    before = [signal.signal(number, _exit_from_handler) for number in _SIGNALS]
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+
+    def note(signal_number: int, _frame: FrameType | None) -> None:
+        if received:
+            exit_at_once(signal_number)
+        received.append(signal_number)
+
+    before = [signal.signal(number, note) for number in _SIGNALS]
     try:
         yield
     finally:
         for number, handler in zip(_SIGNALS, before, strict=True):
             signal.signal(number, handler)
+        if received:
+            _stop(received[0], None)
 
 
 def exit_at_once(signal_number: int) -> NoReturn:
@@ -58,7 +71,3 @@ def exit_at_once(signal_number: int) -> NoReturn:
 def _stop(signal_number: int, _frame: FrameType | None) -> None:
     _received.append(signal_number)
     sys.exit(128 + signal_number)
-
-
-def _exit_from_handler(signal_number: int, _frame: FrameType | None) -> None:
-    exit_at_once(signal_number)

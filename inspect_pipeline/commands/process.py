@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.detector import load_detector
+from inspect_pipeline.commands.detector import LateDetector
 from inspect_pipeline.commands.options import (
     DemOption,
     EveryOption,
@@ -92,7 +92,7 @@ def process(
     if start is not None and end is not None and start >= end:
         raise typer.BadParameter("--end is not after --start")
 
-    from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_run
+    from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_described_run
     from inspect_pipeline.store.runs import save_run, summarize_process
 
     options = ProcessOptions(
@@ -115,15 +115,15 @@ def process(
     from inspect_pipeline import pipeline
     from inspect_pipeline.index.publish import publish
 
-    detector = load_detector(weights, runtime, scale, min_score)
-    run = start_run(detector, options)
+    detector = LateDetector(weights, runtime, scale, min_score)
+    run = start_described_run(detector.describe(), options, "process", {})
 
     def process_one(path: Path) -> ProcessResult:
         with progress_bar(path.name, None) as advance:
             return pipeline.process(
                 path,
                 the_store,
-                detector,
+                detector.load,
                 options,
                 run,
                 on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),

@@ -81,24 +81,33 @@ def _before_command(
 def main() -> None:
     """Run the command line and exit with the code of the error or the signal that ended it."""
     install_handlers()
+    if sys.stdout is None:  # type: ignore[redundant-expr]  # as after `>&-`
+        sys.exit("error: stdout is closed; redirect it to a file or to /dev/null")
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text
     try:
-        exit_code = app(standalone_mode=False)
+        exit_code = app(prog_name="lsnet-pipe", standalone_mode=False)
         sys.stdout.flush()
     except SystemExit as stop:
         # Typer exits with 1 after a BrokenPipeError: the reader of stdout has seen enough, as in `| head`.
         exit_code = 0 if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except BrokenPipeError:
         exit_code = 0
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing is left to be flushed
+        _discard_stdout()
     except Exception as error:
         exit_if_stopped()  # DuckDB turns a stop during a statement into an error of its own
         exit_code = report_usage(error) or report_error(error)
         if exit_code is None:
             raise
+        if isinstance(error, OSError):  # perhaps of stdout, which would fail again
+            _discard_stdout()
     exit_if_stopped()
     sys.exit(exit_code)
+
+
+def _discard_stdout() -> None:
+    """Send what is left in the buffer nowhere: Python flushes it at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

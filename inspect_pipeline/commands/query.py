@@ -117,7 +117,7 @@ def _read_sql(sql: str | None, file: Path | None) -> str:
         except (OSError, ValueError) as error:
             raise typer.BadParameter(f"{file}: cannot be read as text ({error})") from error
     elif sql is None or sql == "-":
-        if sql is None and file is None and sys.stdin.isatty():
+        if sql is None and file is None and (sys.stdin is None or sys.stdin.isatty()):
             raise typer.BadParameter("give SQL, --file FILE or --named NAME; --named list shows the names")
         try:
             text = sys.stdin.read(_MAX_SQL_CHARS + 1)

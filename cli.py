@@ -81,7 +81,7 @@ def _before_command(
 def main() -> None:
     """Run the command line and exit with the code of the error or the signal that ended it."""
     install_handlers()
-    if sys.stdout is None:  # type: ignore[redundant-expr]  # as after `>&-`
+    if sys.stdout is None:  # as after `>&-`
         sys.exit("error: stdout is closed; redirect it to a file or to /dev/null")
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text

@@ -21,7 +21,7 @@ PROGRAM = f"{sys.executable} -c 'import cli; cli.main()'"
 
 
 def shell(line: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a line of bash in which `lsnet-pipe` stands for the program; its code is that of the first command."""
+    """Run a line of bash, where `lsnet-pipe` is the program; the code is that of its first command."""
     line = line.replace("lsnet-pipe", PROGRAM)
     command = ["bash", "-c", f"{line}; exit ${{PIPESTATUS[0]}}"]
     inherited = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "PYTHONWARNINGS": "ignore"}

@@ -38,7 +38,7 @@ def test_what_only_loading_can_tell(tmp_path: Path) -> None:
 
 def test_torch_is_not_imported() -> None:
     program = (
-        "import sys; from lsnet.description import describe_detector as d; assert d() is None or 'torch' not in"
-        " sys.modules"
+        "import sys; from lsnet.description import describe_detector;"
+        "assert describe_detector() is None or 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

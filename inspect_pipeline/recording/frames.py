@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from functools import partial
 from itertools import islice
@@ -13,6 +13,7 @@ from inspect_pipeline.images.decode import ImageDecoder
 from inspect_pipeline.images.video import VideoDecoder
 from inspect_pipeline.messages.image import ImageError, ImageMessage, parse
 from inspect_pipeline.recording.file import Damage
+from inspect_pipeline.recording.log_times import FrameChecks
 from inspect_pipeline.recording.merge import Message, PartExtent, merge_messages
 from inspect_pipeline.recording.part import count_messages
 from inspect_pipeline.recording.types import Frame
@@ -254,45 +255,3 @@ class _Queue:
             frame = self._frames.popleft()
             self._n_bytes -= frame.n_bytes
             yield frame.to_frame()
-
-
-class FrameChecks:
-    """Counts unusual times of frames, per topic.
-
-    Viewers cannot match annotations to images by header stamps that are zero, repeated or out of order.
-    """
-
-    _ASIDE = "set aside: log times far from all others"
-    _NO_STAMP = "without a header stamp"
-    _REPEATED = "with the header stamp of the one before"
-    _BACKWARDS = "with a header stamp before that of the one before"
-
-    def __init__(self) -> None:
-        self._last_ns: dict[str, int] = {}
-        self._counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
-
-    def set_aside(self, topic: str) -> None:
-        """Count a frame that is not yielded because its log time is an outlier."""
-        self._counts[topic][self._ASIDE] += 1
-
-    def checked(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Iterate over the same frames, which must be in log-time order, and check each."""
-        for frame in frames:
-            self.check(frame)
-            yield frame
-
-    def check(self, frame: Frame) -> None:
-        """Compare the stamp of a frame with that of the one before."""
-        before_ns, self._last_ns[frame.topic] = self._last_ns.get(frame.topic, -1), frame.stamp_ns
-        if frame.stamp_ns == 0:
-            self._counts[frame.topic][self._NO_STAMP] += 1
-        elif frame.stamp_ns == before_ns:
-            self._counts[frame.topic][self._REPEATED] += 1
-        elif frame.stamp_ns < before_ns:
-            self._counts[frame.topic][self._BACKWARDS] += 1
-
-    def warnings(self) -> Iterator[str]:
-        """Iterate over one phrase per kind and topic."""
-        for topic, counts in sorted(self._counts.items()):
-            for kind, count in counts.items():
-                yield f"{topic}: {count:,} {'image' if count == 1 else 'images'} {kind}"

@@ -24,7 +24,7 @@ from inspect_pipeline.recording.file import reading
 from inspect_pipeline.recording.log_times import usual_times
 from inspect_pipeline.recording.merge import PartExtent
 from inspect_pipeline.recording.part import number_channels, open_parts, part_counts, summarize_channels
-from inspect_pipeline.recording.split import find_parts
+from inspect_pipeline.recording.split import find_parts, missing_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -90,7 +90,7 @@ class Recording:
 
     @property
     def warnings(self) -> list[str]:
-        """What is unusual about the log times, one phrase each."""
+        """What is unusual about the log times and parts, one phrase each."""
         found = [
             f"its log times look like {unit} instead of nanoseconds"
             for unit, factor in _WRONG_UNITS.items()
@@ -99,6 +99,8 @@ class Recording:
         years = (self.end_ns - self.start_ns) / _YEAR_NS
         if years > 1:
             found.append(f"its log times span {years:.0f} years")
+        if missing := missing_numbers(list(self.files)):
+            found.append(f"parts between the first and the last are missing: {join_phrases(missing, ', ')}")
         for part in self.parts:
             starts = [e.start_ns for e in part.layout.extents if e.channel_ids is None or e.channel_ids]
             if n_early := sum(after < before for before, after in pairwise(starts)):

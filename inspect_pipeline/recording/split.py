@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from inspect_pipeline.errors import RecordingError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 # Items of relative_file_paths, one a line or [a, b]; those of `files`, which name the same parts since
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 _ITEM = re.compile(r"^\s*-\s*(?!\s|\w+:\s)[\"']?(.+?\.mcap)[\"']?\s*$", re.MULTILINE)
 _FLOW = re.compile(r"^\s*relative_file_paths:\s*\[(.*?)\]", re.MULTILINE | re.DOTALL)
 _FLOW_ITEM = re.compile(r"\s*[\"']?([^,\"']+?\.mcap)[\"']?\s*(?:,|$)")
+_MAX_NUMBERS = 10_000
 _NUMBERED = re.compile(r"(.*?)_?(\d+)")
 
 
@@ -44,6 +46,17 @@ def find_parts(folder: Path) -> list[Path]:
     if len(names) > 1 or (len(matches) > 1 and None in matches.values()):
         raise RecordingError(folder, "its recordings are not parts of one", "name one of them")
     return sorted(matches, key=lambda path: (int(match[2]) if (match := matches[path]) else 0, path))
+
+
+def missing_numbers(paths: Sequence[Path]) -> list[str]:
+    """Return the numbers that are missing between those of the parts, whose names differ only by a number."""
+    matches = [_NUMBERED.fullmatch(path.stem) for path in paths]
+    if len({match[1] if match else None for match in matches}) != 1 or None in matches:
+        return []
+    numbers = {int(match[2]) for match in matches if match}
+    if max(numbers) - min(numbers) > _MAX_NUMBERS:  # numbers of another kind, such as dates
+        return []
+    return [str(number) for number in range(min(numbers), max(numbers)) if number not in numbers]
 
 
 def listed_parts(folder: Path) -> list[Path]:

@@ -9,8 +9,9 @@ import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording
 
 from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.recording.log_times import TimeRange
+from inspect_pipeline.recording.log_times import FrameChecks, TimeRange
 from inspect_pipeline.recording.reader import open_recording
+from inspect_pipeline.recording.types import Frame
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -80,3 +81,41 @@ def test_the_usual_times_of_a_recording(tmp_path: Path) -> None:
     read(tmp_path, REGULAR)
     recording = open_recording(tmp_path / "a.mcap")
     assert recording.usual_times(recording.camera_channels) == TimeRange()
+
+
+def stamp_warnings(*stamps: tuple[str, int]) -> list[str]:
+    check = FrameChecks()
+    for i, (topic, stamp_ns) in enumerate(stamps):
+        check.check(Frame(1, topic, i, i, i, stamp_ns, "cam", None, "no image"))
+    return list(check.warnings())
+
+
+def test_stamps_in_order_give_no_warning() -> None:
+    assert stamp_warnings(("/a", 1), ("/b", 1), ("/a", 2), ("/b", 2)) == []
+    assert stamp_warnings() == []
+
+
+def test_ambiguous_stamps_give_a_warning() -> None:
+    assert stamp_warnings(*[("/a", 0)] * 1200, ("/b", 5)) == ["/a: 1,200 images without a header stamp"]
+    assert stamp_warnings(("/a", 5), ("/a", 5), ("/a", 5), ("/a", 6)) == [
+        "/a: 2 images with the header stamp of the one before"
+    ]
+    assert stamp_warnings(("/b", 5), ("/b", 4), ("/a", 0), ("/b", 6)) == [
+        "/a: 1 image without a header stamp",
+        "/b: 1 image with a header stamp before that of the one before",
+    ]
+
+
+def test_frames_out_of_order_by_wrong_times_of_chunks_are_counted(tmp_path: Path) -> None:
+    """A reader that goes by the chunks' own times meets their messages too late."""
+    to_write = [Shot(i, CAMERA, time_ns) for i, time_ns in enumerate(REGULAR)]
+    path = make_recording(tmp_path / "a.mcap", to_write, index_types=factories.UNINDEXED)
+    extents = open_recording(path).parts[0].layout.extents
+    content = bytearray(path.read_bytes())
+    for extent in extents[1::2]:
+        content[extent.offset + 9 : extent.offset + 17] = (REGULAR[-1]).to_bytes(8, "little")
+    path.write_bytes(content)
+    frames = iter_frames(open_recording(path))
+    assert sorted(frame.log_time_ns for frame in frames) == REGULAR
+    warning = frames.warnings[0]  # another one is about the stamps
+    assert "out of log-time order: the recording states wrong times of its chunks" in warning

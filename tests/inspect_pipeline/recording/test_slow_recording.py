@@ -182,9 +182,9 @@ def test_what_typescript_writes_is_read_and_annotated(
 MEASURE = """
 import resource, sys
 from pathlib import Path
-from inspect_pipeline.recording import open_recording
-from inspect_pipeline.recording_frames import iter_frames
-from inspect_pipeline.writeback import annotated_copy
+from inspect_pipeline.recording.append import annotated_copy
+from inspect_pipeline.recording.frames import iter_frames
+from inspect_pipeline.recording.reader import open_recording
 
 imported_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 source, target = Path(sys.argv[1]), Path(sys.argv[2])

@@ -143,6 +143,14 @@ def test_the_reason_names_the_damaged_part(flight: Path, store: Store) -> None:
     assert 16 <= result.n_frames < 24
 
 
+def test_a_missing_part_gives_a_warning(flight: Path) -> None:
+    assert open_recording(flight).warnings == []
+    (flight / "x_10.mcap").unlink()
+    (flight / "x_11.mcap").rename(flight / "x_12.mcap")
+    (warning,) = open_recording(flight).warnings
+    assert warning == "parts between the first and the last are missing: 10, 11"
+
+
 def test_other_folders_are_refused(tmp_path: Path, store: Store) -> None:
     (tmp_path / "photographs").mkdir()
     with pytest.raises(RecordingError, match=r"photographs: the folder has no recording; .*lsnet-pipe pack"):

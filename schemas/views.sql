@@ -195,6 +195,11 @@ FROM spans AS s
 LEFT JOIN unions AS u USING (span_id)
 LEFT JOIN flown AS f USING (span_id);
 
+CREATE OR REPLACE VIEW unseen_spans AS
+SELECT span_id, line_id, length_m
+FROM span_last_seen
+WHERE n_flights = 0;
+
 CREATE OR REPLACE VIEW reviewed_anomalies AS
 SELECT a.*,
        coalesce(r.verdict, 'open') AS verdict,

@@ -204,7 +204,7 @@ def test_values_of_named_queries_are_values(store: Store) -> None:
     assert "'a''); DROP TABLE flights; --'" in sql
 
 
-def test_what_was_told_survives_a_torn_line(store: Store) -> None:
+def test_user_input_survives_a_torn_line(store: Store) -> None:
     run("flights", "tag", FAULTY, "a=1")
     with (store.root / "tags.jsonl").open("a") as file:
         file.write('{"flight_id": "x", "ke')

@@ -1,12 +1,12 @@
-"""The figures of the latest batch in the text format of Prometheus, for its node exporter."""
+"""Metrics of the latest batch in the text format of Prometheus, for its node exporter (extra `metrics`)."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from prometheus_client import CollectorRegistry, Gauge, write_to_textfile
-
+from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import OutputError
 
 if TYPE_CHECKING:
@@ -15,15 +15,18 @@ if TYPE_CHECKING:
     from inspect_pipeline.store.runs import RunSummary
 
 _SUCCESSES = (0, 3)
-_STATUSES = ("processed", "recovered", "skipped", "quarantined", "in_quarantine", "waiting", "left")
+_STATUSES = ("processed", "recovered", "skipped", "failed", "quarantined", "in_quarantine", "waiting", "left")
 
 
 def write_metrics(path: Path, runs: list[RunSummary], n_quarantined: int) -> None:
-    """Replace the file with the figures of the last of `runs`; raises OutputError.
+    """Write the metrics of the last of `runs` to a file, whole or not at all; raises OutputError.
 
     The time of the last success is that of the last run that ended with 0 or 3, so a failing job shows by
     its age.
     """
+    check_metrics(path)
+    from prometheus_client import CollectorRegistry, Gauge, generate_latest  # noqa: PLC0415 - an extra
+
     registry = CollectorRegistry()
 
     def gauge(name: str, meaning: str, value: float) -> None:
@@ -45,7 +48,14 @@ def write_metrics(path: Path, runs: list[RunSummary], n_quarantined: int) -> Non
     for status in _STATUSES:
         recordings.labels(status).set(counts[f"n_{status}"])
     try:
-        write_to_textfile(str(path), registry)
+        with appearing(path) as part:
+            part.write_bytes(generate_latest(registry))
     except OSError as error:
         problem = f"the metrics cannot be written ({error.strerror})"
         raise OutputError(path, problem, "name another file") from error
+
+
+def check_metrics(path: Path) -> None:
+    """Raise OutputError when metrics cannot be written for lack of a package."""
+    if find_spec("prometheus_client") is None:
+        raise OutputError(path, "metrics need prometheus-client", "pip install 'lsnet-pipe[metrics]'")

@@ -1,4 +1,4 @@
-"""Workers that are actors of Ray, in the cluster of RAY_ADDRESS or in one of this machine for the time being.
+"""Workers that are actors of Ray, in the cluster of RAY_ADDRESS.
 
 All machines of the cluster find the store, the recordings and weights given by file under the same names. Ray
 restarts no actor and repeats no call: attempts are counted in one place, the executor.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import os
 import platform
-import secrets
 import signal
 import socket
 import time
@@ -24,7 +23,7 @@ from inspect_pipeline.errors import DetectorError, ExecutorError
 from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from types import TracebackType
 
     from inspect_pipeline.batch.worker import Job, Ready
@@ -32,12 +31,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.store.records import ProcessResult, RunRecord
 
 _PING_S = 10.0
-_END_S = 10.0
-_MAX_STARTS = 3  # of a cluster of this machine; Ray waits 30 s for its own processes, a busy machine longer
-_OBJECT_STORE_BYTES = 80 * 2**20  # near the least there can be: only paths and results pass through it
-_FOLDER = "RAY_TMPDIR"  # in the environment of all processes of a cluster of this machine
-_TOKEN = secrets.token_hex(32)
-# Read when Ray is imported: it sends no statistics, and leaves it to us to say that an actor has died.
+# Read when Ray is imported: no usage statistics, and messages about dead actors are left to the executor.
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
@@ -61,7 +55,7 @@ class RayExecutor(Executor["_Actor"]):
 
     def _start_worker(self) -> _Actor:
         if self._ray is None:
-            self._ray = self._connection.enter_context(_connected(self._n_workers, self._should_stop))
+            self._ray = self._connection.enter_context(_connected())
         return _Actor(self._ray, self._job)
 
     def _with_message(self) -> list[_Actor]:
@@ -71,7 +65,7 @@ class RayExecutor(Executor["_Actor"]):
 
 
 class _Actor(Worker):
-    """An actor, as the batch sees it; `pending` stands for its next message."""
+    """The batch's handle of an actor; `pending` refers to its next message."""
 
     def __init__(self, ray: Any, job: Job) -> None:
         super().__init__()
@@ -92,7 +86,7 @@ class _Actor(Worker):
         return True
 
     def receive(self) -> Any:
-        """What the actor has returned, or a WorkerFailure when there is no such thing any more."""
+        """Return the result of the actor, or a WorkerFailure when it is lost."""
         reference, self.pending = self.pending, None
         try:
             return self._ray.get(reference)
@@ -100,15 +94,15 @@ class _Actor(Worker):
             return WorkerFailure("killed", _explain(error))
 
     def kill(self) -> None:
-        """Have the process end; on another machine that may take a moment longer than this call."""
+        """End the process; on another machine that may take longer than this call."""
         self._ray.kill(self._handle)
 
 
 class RecordingActor:
-    """What runs in the process of an actor. Ray calls one method at a time."""
+    """The code of an actor. Ray calls one method at a time."""
 
     def load(self, job: Job, wanted_version: str, folder: Path, threads: str | None) -> Ready | DetectorError:
-        """Get ready as a worker process of the batch's machine would.
+        """Load the detector, in the same surroundings as a worker process on the batch's machine.
 
         folder: where the batch runs, for relative paths; threads: its OMP_NUM_THREADS, which Ray sets to 1.
         """
@@ -128,38 +122,30 @@ class RecordingActor:
         return self._service.ready()
 
     def ping(self) -> None:
-        """Return, which a dead actor cannot."""
+        """Return, to show that the actor is alive."""
 
     def process(
         self, path: Path, run: RunRecord
     ) -> ProcessResult | WorkerFailure | StoreError | TerrainError:
-        """What became of a recording."""
+        """Process a recording."""
         return self._service.process(path, run)
 
 
 @contextmanager
-def _connected(n_cpus: int, should_stop: Callable[[], bool]) -> Iterator[Any]:
-    """Ray, connected to the cluster of RAY_ADDRESS or to one of this block; raises DetectorError."""
-    address = os.environ.get("RAY_ADDRESS") or "local"
-    with TemporaryDirectory(prefix="lsnet-pipe-", ignore_cleanup_errors=True) as folder:
-        options: dict[str, Any] = {"address": address}
-        environment = dict(_QUIET)
-        if address == "local":
-            options |= {
-                "num_cpus": n_cpus,
-                "include_dashboard": False,
-                "object_store_memory": _OBJECT_STORE_BYTES,
-            }
-            environment |= {_FOLDER: folder, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": _TOKEN}
-        with _environment(environment):
-            ray = _import_ray()
-        try:
-            with _environment(environment):
-                _initialise(ray, options, folder, should_stop)
-            yield ray
-        finally:
-            ray.shutdown()
-            _end_processes(folder)
+def _connected() -> Iterator[Any]:
+    """Connect to the cluster of RAY_ADDRESS; raises DetectorError, ExecutorError."""
+    with _environment(_QUIET):
+        ray = _import_ray()
+    address = os.environ.get("RAY_ADDRESS", "")
+    if address in ("", "local"):
+        raise ExecutorError(
+            "RAY_ADDRESS names no cluster; set it to the address of one, as `ray start --head` prints it"
+        )
+    try:
+        _initialize(ray, address)
+        yield ray
+    finally:
+        ray.shutdown()
 
 
 def _import_ray() -> Any:
@@ -170,29 +156,26 @@ def _import_ray() -> Any:
     return ray
 
 
-def _initialise(ray: Any, options: Mapping[str, Any], folder: str, should_stop: Callable[[], bool]) -> None:
-    """ray.init, without the current folder on the sys.path of actors; raises DetectorError."""
-    address = options["address"]
-    for n_starts_left in reversed(range(_MAX_STARTS if address == "local" else 1)):
-        try:
-            _check_reachable(address)
-            with _own_signals(), chdir(folder):
-                ray.init(**options, log_to_driver=False, logging_level=logging.CRITICAL)
-        except SystemExit as error:  # made by Ray of a SIGTERM, which is for the batch to handle
-            signal.raise_signal(signal.SIGTERM)
-            raise DetectorError(f"no Ray at {address}: stopped before") from error
-        except Exception as error:  # Ray raises many kinds, also the plain one
-            if not n_starts_left or should_stop():
-                raise ExecutorError(
-                    f"no Ray at {address} ({_explain(error)}); check RAY_ADDRESS, or use local workers"
-                ) from error
-        else:
-            return
-        _end_processes(folder)
+def _initialize(ray: Any, address: str) -> None:
+    """Call ray.init, in an empty folder as Ray puts the current one on the sys.path of actors.
+
+    Raises DetectorError when stopped meanwhile, ExecutorError when there is no such cluster.
+    """
+    try:
+        _check_reachable(address)
+        with _environment(_QUIET), _own_signals(), TemporaryDirectory() as folder, chdir(folder):
+            ray.init(address=address, log_to_driver=False, logging_level=logging.CRITICAL)
+    except SystemExit as error:  # Ray turns a SIGTERM into it, which the batch is to handle
+        signal.raise_signal(signal.SIGTERM)
+        raise DetectorError(f"no Ray at {address}: stopped before") from error
+    except Exception as error:  # Ray raises many kinds, including Exception itself
+        raise ExecutorError(
+            f"no Ray at {address} ({_explain(error)}); check RAY_ADDRESS, or use local workers"
+        ) from error
 
 
 def _check_reachable(address: str) -> None:
-    """Raise OSError when nobody is at host:port, which Ray would take minutes to say."""
+    """Raise OSError when nothing listens at host:port, for which Ray would take minutes."""
     host, _, port = address.rpartition(":")
     if host and port.isdecimal() and "/" not in host:
         socket.create_connection((host.strip("[]"), int(port)), timeout=_PING_S).close()
@@ -200,7 +183,7 @@ def _check_reachable(address: str) -> None:
 
 @contextmanager
 def _own_signals() -> Iterator[None]:
-    """Processes of Ray get none of the signals that end a batch, and the batch keeps its handler of them."""
+    """Shield Ray's processes from the signals that end a batch, and keep the batch's handler of SIGTERM."""
     handler = signal.getsignal(signal.SIGTERM)
     with signals_blocked():
         try:
@@ -211,7 +194,7 @@ def _own_signals() -> Iterator[None]:
 
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables as they are to be inside the block."""
+    """Set environment variables inside the block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -224,28 +207,8 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _end_processes(folder: str) -> None:
-    """End what is left of a cluster of this machine: some processes are slow to notice its end."""
-    mark, deadline = f"{_FOLDER}={folder}".encode(), time.monotonic() + _END_S
-    while time.monotonic() < deadline:
-        pids = [pid for pid, environment in _environments() if mark in environment]
-        if not pids:
-            return
-        for pid in pids:
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        time.sleep(0.05)
-
-
-def _environments() -> Iterator[tuple[int, list[bytes]]]:
-    """What processes of this user were started with; nothing of those that have ended."""
-    for path in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):
-            yield int(path.parent.name), path.read_bytes().split(b"\0")
-
-
 def _explain(error: Exception) -> str:
-    """The last line of what Ray says; of a process that is gone it knows no more than that."""
+    """Return the last line of a message of Ray, which says little about a process that died."""
     lines = str(error).strip().splitlines() or [type(error).__name__]
     if "connection error code 2. End of file" in lines[-1]:
         return "the worker died; is there enough memory?"

@@ -1,7 +1,8 @@
-"""Texts that make a batch run every night: a systemd service with its timer, or a line for cron."""
+"""Schedules of a nightly batch: a systemd service with its timer, or a line for cron."""
 
 from __future__ import annotations
 
+import re
 import shlex
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -56,7 +57,12 @@ class SystemdUnits(NamedTuple):
 
 
 def systemd_units(command: Sequence[str], store: Path, at: time, user: str | None) -> SystemdUnits:
-    """Units that run a command at a time of day, able to write nothing but the store."""
+    """Return units that run a command at a time of day and may write nothing but the store.
+
+    Raises ValueError for a user name that systemd does not take, such as one with a line end.
+    """
+    if user is not None and not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\$?", user):
+        raise ValueError(f"{user!r} is no user name")
     words = " ".join(_quote_for_systemd(word).replace("$", "$$") for word in command)
     service = _SERVICE.format(
         command=words, store=_quote_for_systemd(str(store)), user=f"User={user}\n" if user else ""
@@ -65,7 +71,7 @@ def systemd_units(command: Sequence[str], store: Path, at: time, user: str | Non
 
 
 def cron_line(command: Sequence[str], at: time) -> str:
-    """A line of a crontab; raises ValueError for words with line ends, which cron cannot have."""
+    """Return a line of a crontab; raises ValueError for arguments with line ends, which cron cannot have."""
     words = shlex.join(command)
     if "\n" in words:
         raise ValueError("cron takes no names with line ends")
@@ -74,6 +80,6 @@ def cron_line(command: Sequence[str], at: time) -> str:
 
 
 def _quote_for_systemd(word: str) -> str:
-    """A word in double quotes, with what systemd would expand or unescape made plain."""
+    """Quote an argument, escaping what systemd would expand."""
     escapes = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "%": "%%"}
     return '"' + "".join(escapes.get(c, c) for c in word) + '"'

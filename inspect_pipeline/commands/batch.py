@@ -132,6 +132,10 @@ def batch(
       lsnet-pipe batch /data/inbox --dry-run
     """
     the_store = open_store(store, create=True)
+    if metrics:
+        from inspect_pipeline.batch.prometheus import check_metrics
+
+        check_metrics(metrics)
     if not dry_run:
         with the_store.batch_lock():  # a second batch ends here, before the slow imports
             pass

@@ -64,7 +64,10 @@ def schedule(
         except ValueError as error:
             raise typer.BadParameter(str(error)) from error
         return
-    units = systemd_units(command, folder, at.time(), user)
+    try:
+        units = systemd_units(command, folder, at.time(), user)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
     for suffix, text in units._asdict().items():
         name = f"lsnet-pipe.{suffix}"
         if output is None:

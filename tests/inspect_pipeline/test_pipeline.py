@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -21,6 +23,7 @@ from inspect_pipeline.errors import RecordingError, StoreError
 from inspect_pipeline.images.quality import measure_quality
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.pipeline import Progress, process
+from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
@@ -110,6 +113,18 @@ def test_done_is_not_done_again(tmp_path: Path, store: Store) -> None:
     again = run(path.rename(tmp_path / "b.mcap"), store, detector)
     assert (again.status, again.flight_id, again.n_segments) == ("skipped", first.flight_id, first.n_segments)
     assert detector.batch_sizes == []
+
+
+def test_two_processes_of_one_recording_do_the_work_once(tmp_path: Path, store: Store) -> None:
+    path = make_recording(tmp_path / "r.mcap", shots(5))
+    detectors = [FakeDetector(), FakeDetector()]
+    with ThreadPoolExecutor(2) as pool, store.lock_flight(open_recording(path).flight_id):
+        futures = [pool.submit(process, path, store, detector) for detector in detectors]
+        time.sleep(0.3)
+        assert not any(future.done() for future in futures)  # both wait for this thread's lock
+    assert sorted(future.result().status for future in futures) == ["ok", "skipped"]
+    assert sorted(sum(detector.batch_sizes) for detector in detectors) == [0, 5]
+    assert [each.name for each in (store.root / "staging").iterdir()] == ["mutex"]
 
 
 @pytest.mark.parametrize(

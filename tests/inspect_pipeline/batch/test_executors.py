@@ -326,6 +326,17 @@ def test_workers_that_never_get_ready_are_given_up(tmp_path: Path, monkeypatch: 
         executor.describe()
 
 
+@pytest.mark.parametrize("address", ["", "local"])
+def test_ray_without_an_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    monkeypatch.setitem(sys.modules, "ray", ModuleType("ray"))
+    monkeypatch.setenv("RAY_ADDRESS", address)
+    with (
+        Site(tmp_path, RayExecutor).start() as executor,
+        pytest.raises(DetectorError, match=r"^RAY_ADDRESS names no cluster; set it"),
+    ):
+        executor.describe()
+
+
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "[::1]:9"])
 def test_a_cluster_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     ray = ModuleType("ray")
@@ -334,6 +345,8 @@ def test_a_cluster_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("RAY_ADDRESS", address)
     with (
         Site(tmp_path, RayExecutor).start() as executor,
-        pytest.raises(DetectorError, match=r"^no Ray at .*:9 \(.*refused\); check RAY_ADDRESS$"),
+        pytest.raises(
+            DetectorError, match=r"^no Ray at .*:9 \(.*refused\); check RAY_ADDRESS, or use local workers$"
+        ),
     ):
         executor.describe()

@@ -150,6 +150,50 @@ def test_a_split_recording_with_a_missing_part_goes_to_quarantine(night: Night) 
     assert "b_1.mcap: metadata.yaml lists it but it is absent" in note.detail
 
 
+def test_a_camera_without_one_good_frame_fails_every_night(night: Night) -> None:
+    """The flight is kept, with its bad frames; no night passes as a success until it is out of the inbox."""
+    good, blind = night.add("good", 1, 2), night.inbox / "blind.mcap"
+    make_recording(blind, [Shot(i, log_time_ns=10**18 + i, data=b"no image") for i in range(3)])
+    os.utime(blind, ns=(time.time_ns() - 100 * 10**9,) * 2)
+    for counts in ({"processed": 1}, {"skipped": 1}):
+        summary = night.run()
+        assert summary.exit_code == 3
+        found = {name: n for name, n in night.counts(summary).items() if name not in ("bad_frames", "lines")}
+        assert found == {"found": 2, "failed": 1, **counts}
+    assert night.indexed() == {"good.mcap": 2, "blind.mcap": 3}
+    blind.unlink()
+    assert night.run().exit_code == 0
+    assert good.exists()
+
+
+def test_why_a_recording_failed_is_reported(night: Night) -> None:
+    path = make_recording(night.inbox / "blind.mcap", [Shot(1, data=b"no image")])
+    os.utime(path, ns=(time.time_ns() - 100 * 10**9,) * 2)
+    summary = night.run()
+    assert (summary.counts.n_frames, summary.counts.n_bad_frames) == (1, 1)
+    (reason,) = [fields["reason"] for event, fields in night.events if event == "recording failed"]
+    assert "/camera" in reason
+    assert "\n" not in reason
+
+
+def test_a_damaged_flight_is_processed_again(night: Night) -> None:
+    """One byte of its rows has changed: a rebuild leaves it out with a line, the next night makes it anew."""
+    night.add("a", 1, 2)
+    night.add("b", 3)
+    night.run()
+    before = night.indexed()
+    (folder,) = [f.folder for f in night.store.scan()[0] if f.record.source_uri.endswith("a.mcap")]
+    path = folder / "frames.parquet"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    assert [damage.folder for damage in index.rebuild(night.store).damaged] == [folder]
+    summary = night.run()
+    assert (summary.counts.n_processed, summary.counts.n_skipped) == (1, 1)
+    assert night.indexed() == before
+    assert index.verify(night.store) == ()
+
+
 def test_a_late_recording_is_given_up(real_night: Night) -> None:
     real_night.add("late", HANG)
     summary = real_night.run(timeout_s=1.0, max_attempts=1)

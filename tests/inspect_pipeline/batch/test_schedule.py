@@ -36,6 +36,12 @@ def test_what_systemd_would_expand_is_escaped(tmp_path: Path) -> None:
     assert "User=" not in service
 
 
+@pytest.mark.parametrize("user", ["daemon\nExecStartPre=/bin/rm", "a b", "", "%u", "-x", "a;b"])
+def test_a_user_adds_no_directive(tmp_path: Path, user: str) -> None:
+    with pytest.raises(ValueError, match="no user name"):
+        systemd_units(COMMAND, tmp_path, time(1), user)
+
+
 def test_the_line_of_cron() -> None:
     line = cron_line(COMMAND, time(4, 5))
     minute, hour, *days, command = line.rstrip("\n").split(" ", 5)

@@ -15,6 +15,8 @@ import pytest
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index import schema
+from inspect_pipeline.index.named_queries import find_query
+from inspect_pipeline.inspection.spans import Span, import_spans
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store.feedback import add_tag
 from inspect_pipeline.store.runs import save_run, summarize_process
@@ -428,6 +430,18 @@ def test_views_find_planted_faults(tmp_path: Path) -> None:
     assert ask(
         store, "SELECT n_frames_with_segments, detection_share, duration_s, model_name FROM flight_summary"
     ) == [(23, 23 / 29, 3.3, "fast")]
+
+
+def test_a_span_that_no_flight_has_seen(store: Store) -> None:
+    """Flights without positions see no span; the question is answered over all flights."""
+    ends = ("L12", "T1", "T2", 47.0, 8.0, None, 47.001, 8.0, None, 111.2, None)
+    import_spans(store, [Span("S1", *ends), Span("S2", *ends)])
+    index.publish(store)
+    assert ask(store, "SELECT span_id, line_id, length_m FROM unseen_spans ORDER BY 1") == [
+        ("S1", "L12", 111.2),
+        ("S2", "L12", 111.2),
+    ]
+    assert find_query("unseen").parameters == ()
 
 
 def test_files_are_of_the_storage_version_both_duckdbs_read(store: Store) -> None:

@@ -19,8 +19,21 @@ from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store.records import RESULT_VERSION
 from inspect_pipeline.store.store import Store
 
-# A store of two flights, written when there was one migration.
-OLD_STORE = Path(__file__).parents[2] / "data" / "store_0001.tar.xz"
+# Stores of two flights, written when there were one and three migrations; the second one with user input.
+OLD_STORES = [Path(__file__).parents[2] / "data" / f"store_{number}.tar.xz" for number in ("0001", "0003")]
+# Tables that a new version does not compute anew.
+KEPT = (
+    "flights",
+    "runs",
+    "models",
+    "channels",
+    "frames",
+    "segments",
+    "lines",
+    "tracks",
+    "reviews",
+    "flight_tags",
+)
 FROZEN = {
     "0001_initial.sql": "7ba22d02444e30537412d1dad4fa9d5582964940b8dee8e82283a623ecae93b2",
     "0002_runs.sql": "6b5ec3101f5b27767ca9d049d6eb1ca551845a82fedbfa81c11c5606f20ea346",
@@ -29,9 +42,9 @@ FROZEN = {
 RESULT_COLUMNS = (2, "6541b97fa533c9ffcca1c4a92d6c8d0813e2c0fb9d0ec1155012cd010f98ddb1")
 
 
-@pytest.fixture
-def old_store(tmp_path: Path) -> Store:
-    with tarfile.open(OLD_STORE) as archive:
+@pytest.fixture(params=OLD_STORES, ids=lambda path: path.name)
+def old_store(request: pytest.FixtureRequest, tmp_path: Path) -> Store:
+    with tarfile.open(request.param) as archive:
         archive.extractall(tmp_path / "store", filter="data")
     return Store(tmp_path / "store")
 
@@ -74,10 +87,10 @@ def test_other_columns_of_a_flight_are_another_result_version() -> None:
 
 
 def test_an_old_store_is_brought_up_without_loss(old_store: Store) -> None:
-    old_columns = columns(old_store)
+    old_columns = {table: names for table, names in columns(old_store).items() if table in KEPT}
     before = rows(old_store, old_columns)
-    assert set(before) >= {"flights", "runs", "models", "channels", "frames", "segments", "lines"}
-    assert all(before.values())
+    assert set(before) >= set(KEPT[:7])
+    assert all(before[table] for table in KEPT[:7])
     assert index.publish(old_store).n_written == 0
     assert rows(old_store, old_columns) == before
     with duckdb.connect(old_store.index_path, read_only=True) as connection:
@@ -91,3 +104,13 @@ def test_a_brought_up_index_is_the_one_that_a_rebuild_makes(old_store: Store) ->
     migrated = contents(old_store)
     index.rebuild(old_store)
     assert contents(old_store) == migrated
+
+
+def test_user_input_of_an_old_store_is_kept(tmp_path: Path) -> None:
+    with tarfile.open(OLD_STORES[1]) as archive:
+        archive.extractall(tmp_path, filter="data")
+    index.publish(Store(tmp_path))
+    with duckdb.connect(tmp_path / "index.duckdb", read_only=True) as connection:
+        assert connection.execute("SELECT key, value FROM flight_tags").fetchall() == [("line", "L12")]
+        reviews = connection.execute("SELECT anomaly_id, verdict, note, reviewed_by FROM reviews").fetchall()
+    assert reviews == [("0a1b2c3d4e5f", "dismissed", "a bird", "")]

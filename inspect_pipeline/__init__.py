@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.config import PlacingOptions, ProcessOptions
     from inspect_pipeline.errors import InspectError
     from inspect_pipeline.index.publish import publish
+    from inspect_pipeline.index.query import query
     from inspect_pipeline.pipeline import process
     from inspect_pipeline.recording.frames import iter_frames
     from inspect_pipeline.recording.reader import open_recording

@@ -38,26 +38,26 @@ __all__ = [
     "simulate",
 ]
 
-_MODULES = {
-    "InspectError": "errors",
-    "PlacingOptions": "config",
-    "ProcessOptions": "config",
-    "SimulationOptions": "simulation.options",
-    "Store": "store.store",
-    "iter_frames": "recording.frames",
-    "open_recording": "recording.reader",
-    "process": "pipeline",
-    "publish": "index.publish",
-    "query": "index.query",
-    "simulate": "simulation.write",
+_PLACES = {
+    "InspectError": "errors.InspectError",
+    "PlacingOptions": "config.PlacingOptions",
+    "ProcessOptions": "config.ProcessOptions",
+    "SimulationOptions": "simulation.options.SimulationOptions",
+    "Store": "store.store.Store",
+    "iter_frames": "recording.frames.iter_frames",
+    "open_recording": "recording.reader.open_recording",
+    "process": "pipeline.process",
+    "publish": "index.publish.publish",
+    "query": "index.query.query",
+    "simulate": "simulation.write.simulate_flight",
 }
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    globals()[name] = value
+    module, _, attribute = _PLACES[name].rpartition(".")
+    globals()[name] = value = getattr(import_module(f"{__name__}.{module}"), attribute)
     return value
 
 

@@ -34,8 +34,8 @@ def contents(wheel: Path) -> set[str]:
 def tracked() -> set[str]:
     """Return the files of the packages as git tracks them; schemas/ is linked into inspect_pipeline."""
     folders = ("cli.py", "inspect_pipeline", "lsnet", "schemas")
-    names = subprocess.run(["git", "ls-files", *folders], cwd=ROOT, capture_output=True, text=True, check=True)
-    linked = {name for name in names.stdout.split() if name != "inspect_pipeline/schemas"}
+    names = run("git", "ls-files", *folders, cwd=ROOT).split()
+    linked = {name for name in names if name != "inspect_pipeline/schemas"}
     return {f"inspect_pipeline/{name}" if name.startswith("schemas/") else name for name in linked}
 
 
@@ -48,7 +48,8 @@ def test_the_wheel_processes_a_recording(tmp_path: Path) -> None:
     run(sys.executable, "-m", "venv", tmp_path / "venv", cwd=tmp_path)
     binaries = tmp_path / "venv" / "bin"
     constraints = ROOT / "constraints.txt"
-    run(binaries / "python", "-m", "pip", "install", "-c", constraints, f"{wheel}[openvino]", "pandas", cwd=tmp_path)
+    pip = (binaries / "python", "-m", "pip", "install", "-c", constraints)
+    run(*pip, f"{wheel}[openvino]", "pandas", cwd=tmp_path)
     lsnet_pipe = binaries / "lsnet-pipe"
     run(lsnet_pipe, "simulate", "a.mcap", "--seconds", 2, "--size", "640x480", cwd=tmp_path)
     result = json.loads(run(lsnet_pipe, "process", "a.mcap", "--json", cwd=tmp_path))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 import shlex
@@ -107,12 +106,6 @@ def test_every_query_of_the_readme_runs(run: Callable[..., str]) -> None:
     assert len(queries) >= 3
     for sql in queries:
         run("query", sql)
-
-
-def test_the_python_of_the_readme(run: Callable[..., str], folder: Path, small_flight: Path) -> None:
-    source = re.search(r"```python\n(.*?)```", README, re.DOTALL).group(1)
-    shutil.copy(small_flight, folder / "flight.mcap")
-    exec(compile(ast.parse(source), "README.md", "exec"), {})  # noqa: S102 - our own text
 
 
 def test_every_command_is_documented() -> None:

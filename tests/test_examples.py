@@ -13,7 +13,8 @@ from fakes import FakeDetector
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "docs/python.md").read_text(encoding="utf-8"), re.DOTALL)
+TEXTS = [(ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/python.md")]
+BLOCKS = re.findall(r"```python\n(.*?)```", "".join(TEXTS), re.DOTALL)
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +41,7 @@ def test_the_python_of_the_documentation(tmp_path: Path, capsys: pytest.CaptureF
     make_recording(tmp_path / "flight.mcap", shots(3))
     for block in BLOCKS:
         exec(compile(block, "python.md", "exec"), {})  # noqa: S102 - our own text
-    assert capsys.readouterr().out.startswith("ok [(3, 0)]\n")
+    assert capsys.readouterr().out.startswith("[(3, 0)]\nok [(3, 0)]\n")
 
 
 def test_every_example_is_documented() -> None:

@@ -56,14 +56,14 @@ def test_bench_tells_what_was_measured(tmp_path: Path) -> None:
     for arguments in ((), ("--images", folder)):
         result = run("bench", "--json", "--size", 32, "--seconds", 0.1, *arguments, *TINY_RUN)
         assert (result.exit_code, result.stderr) == (0, "")
-        told = json.loads(result.stdout)
-        assert set(told) == {"frames_per_s", "backend", "precision", "threads", "preset", "size"}
-        assert told["frames_per_s"] > 0
-        assert (told["backend"], told["precision"], told["preset"], told["size"]) == (
+        rows = json.loads(result.stdout)
+        assert set(rows) == {"frames_per_s", "backend", "precision", "threads", "preset", "size"}
+        assert rows["frames_per_s"] > 0
+        assert (rows["backend"], rows["precision"], rows["preset"], rows["size"]) == (
             *("torch", "f32", "fast"),
             32,
         )
-        assert told["threads"] >= 1
+        assert rows["threads"] >= 1
 
 
 def test_bench_without_json_is_a_sentence() -> None:
@@ -94,20 +94,20 @@ def test_eval_tells_lines_the_papers_scores_and_drawn_images(tmp_path: Path) -> 
     words = ("eval", "m", "plain", "--use", "lines", "--paper", "--synthetic", 2, "--json", *TINY_RUN)
     result = run(*words)
     assert (result.exit_code, result.stderr) == (0, "")
-    told = [json.loads(line) for line in result.stdout.splitlines()]
-    assert [("ods" in t, "apr" in t, "reported" in t, "sap10" in t).index(True) for t in told] == [
+    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [("ods" in t, "apr" in t, "reported" in t, "sap10" in t).index(True) for t in rows] == [
         *(0, 0, 0),
         *[1] * 10,
         *(2, 3),
     ]
-    assert told[-1]["images"] == 2
+    assert rows[-1]["images"] == 2
     assert "with a reported line" in run("eval", "plain", "--use", "lines", *TINY_RUN).stdout
 
 
 def test_eval_of_a_rival(tmp_path: Path) -> None:
     write_masks(tmp_path / "m")
-    told = [json.loads(line) for line in run("eval", "m", "--rival", "lsd", "--json").stdout.splitlines()]
-    assert told[0]["ods"]["recall"] == 1  # the edges of the band are within its half width
+    rows = [json.loads(line) for line in run("eval", "m", "--rival", "lsd", "--json").stdout.splitlines()]
+    assert rows[0]["ods"]["recall"] == 1  # the edges of the band are within its half width
 
 
 def test_eval_of_nothing_is_one_line() -> None:
@@ -167,9 +167,9 @@ def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: p
     assert (made.exit_code, made.stderr) == (0, "")
     assert made.stdout.splitlines()[0].endswith("| ODS m | ms, torch | ms, openvino f32 |")
     assert ">small<" in (tmp_path / "chart.svg").read_text()
-    (told,) = (json.loads(line) for line in run(*words, "--json").stdout.splitlines())
-    assert told["result"]["name"] == "small"
-    assert told["cpu_ms"] == {"torch": 2.0, "openvino f32": 1.0}
+    (rows,) = (json.loads(line) for line in run(*words, "--json").stdout.splitlines())
+    assert rows["result"]["name"] == "small"
+    assert rows["cpu_ms"] == {"torch": 2.0, "openvino f32": 1.0}
 
 
 def test_synth_and_train_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +201,7 @@ def _with_few_validation_images() -> tuple[object, ...]:
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, tuple) else "",
 )
-def test_what_cannot_be_trained_is_one_line(arguments: tuple[object, ...], message: str) -> None:
+def test_unusable_training_options_are_one_line(arguments: tuple[object, ...], message: str) -> None:
     result = run("train", "--run", "run", "--workers", 0, *arguments)
     assert isinstance(result.exception, LSNetError)
     assert message in str(result.exception)

@@ -1,10 +1,11 @@
-"""Tiny networks with random weights, for tests of what is around the network."""
+"""Tiny networks with random weights, and random images."""
 
 from __future__ import annotations
 
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,6 +15,8 @@ from lsnet.weights import WeightsCard, save_weights
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 torch.set_num_threads(1)  # threads on tiny networks only wait for each other
 
@@ -27,8 +30,16 @@ TINY = LSNetConfig(
 )
 
 
+RNG = np.random.default_rng(0)
+
+
+def photo(height: int, width: int) -> NDArray[np.uint8]:
+    """Return an image of random pixels."""
+    return RNG.integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
 def tiny_net(seed: int = 0, config: LSNetConfig = TINY) -> LSNet:
-    """A network in evaluation mode with norms that do something and scores on both sides of a half."""
+    """Return a network in evaluation mode, with norms other than identity and scores on both sides of 0.5."""
     torch.manual_seed(seed)
     net = LSNet(config)
     with torch.no_grad():
@@ -45,14 +56,14 @@ def tiny_net(seed: int = 0, config: LSNetConfig = TINY) -> LSNet:
 
 
 def save_tiny(path: Path, seed: int = 0, **card: object) -> Path:
-    """A weights file with a tiny network."""
+    """Write a weights file with a tiny network."""
     values = {"name": "tiny", "preset": "fast", "network": TINY, "min_score": 0.5} | card
     save_weights(path, tiny_net(seed), WeightsCard(**values))
     return path
 
 
 def openvino_or_skip() -> Any:
-    """The module openvino, imported as the program does."""
+    """Import openvino as the program does, or skip the test."""
     if find_spec("openvino") is None:
         pytest.skip("openvino is not installed")
     return import_openvino()

@@ -1,4 +1,4 @@
-"""Stretches of lines are joined when they go on in each other's direction, each end with one other."""
+"""Stretches that continue each other's direction are joined, each end with one other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def groups(polylines: list[np.ndarray], max_gap_px: float = 60.0) -> list[list[i
     return sorted(np.flatnonzero(labels == label).tolist() for label in set(labels.tolist()))
 
 
-def test_none_and_one() -> None:
+def test_no_polylines_and_one_polyline() -> None:
     assert groups([]) == []
     assert groups([straight((0, 0), (100, 0))]) == [[0]]
 
@@ -37,7 +37,7 @@ def test_none_and_one() -> None:
         (straight((150, 0), (300, 5)), True),
     ],
 )
-def test_what_goes_on_in_ones_direction(other: np.ndarray, is_joined: bool) -> None:
+def test_polylines_that_continue_each_other_are_joined(other: np.ndarray, is_joined: bool) -> None:
     one = straight((0, 0), (100, 0))
     assert groups([one, other]) == ([[0, 1]] if is_joined else [[0], [1]])
 
@@ -51,7 +51,7 @@ def test_halves_of_crossing_lines_find_each_other() -> None:
     assert groups(arms) == [[0, 2], [1, 3]]
 
 
-def test_of_two_that_fit_the_nearer_is_taken() -> None:
+def test_nearer_of_two_matches_is_joined() -> None:
     one = straight((0, 0), (100, 0))
     assert groups([one, straight((130, 1.2), (250, 1.2)), straight((130, 0), (250, 0))]) == [[0, 2], [1]]
 
@@ -62,7 +62,9 @@ def test_many_stretches_of_one_line_are_one() -> None:
 
 
 @given(st.floats(0, np.pi), st.floats(-300, 300), st.permutations(range(4)))
-def test_turning_moving_and_order_change_nothing(angle: float, shift: float, order: list[int]) -> None:
+def test_groups_are_invariant_to_rotation_translation_and_order(
+    angle: float, shift: float, order: list[int]
+) -> None:
     stretches = [
         straight((0, 0), (100, 0)),
         straight((140, 0.5), (260, 1)),

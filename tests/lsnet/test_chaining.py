@@ -1,4 +1,4 @@
-"""Cells of lines that are known, chained: what comes out must be those lines."""
+"""Chaining the cells of known lines gives these lines."""
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ def merge(segments: Segments, config: ChainingConfig | None = None, enlarged: fl
 
 
 def cells_of(*polylines: list[tuple[float, float]], score: float = 0.9) -> Segments:
-    """What a faultless network says of these lines."""
+    """Return the output of a perfect network for these lines."""
     coder = GridCoder()
     targets = coder.encode([np.array(points, float) for points in polylines], SIZE)
     scores = np.where(targets.labels == POSITIVE, np.float32(score), np.float32(0))
@@ -73,7 +73,7 @@ def test_crossing_lines_keep_their_directions() -> None:
         assert min(farthest(points, down[0], down[1]), farthest(points, up[0], up[1])) < 2.0
 
 
-def test_a_wide_gap_parts_a_line_and_a_narrow_one_does_not() -> None:
+def test_wide_gap_splits_a_line_and_narrow_gap_does_not() -> None:
     left, right = cells_of([(0, 128), (150, 128)]), cells_of([(260, 128), (384, 128)])
     both = Segments(
         np.concatenate([left.endpoints, right.endpoints]), np.concatenate([left.scores, right.scores]), SIZE
@@ -97,7 +97,7 @@ def test_the_order_of_segments_and_of_their_ends_does_not_matter(seed: int) -> N
     np.testing.assert_allclose(np.sort(shuffled.scores), np.sort(plain.scores), rtol=1e-4)
 
 
-def test_longer_and_surer_lines_score_higher() -> None:
+def test_longer_lines_of_higher_scores_score_higher() -> None:
     long, short = merge(cells_of([(0, 60), (384, 60)])), merge(cells_of([(0, 60), (80, 60)]))
     unsure = merge(cells_of([(0, 60), (384, 60)], score=0.6))
     assert long.scores[0] > short.scores[0]
@@ -105,7 +105,7 @@ def test_longer_and_surer_lines_score_higher() -> None:
     assert 0 < short.scores[0] < 1
 
 
-def test_what_is_short_or_weak_or_nothing_is_no_line() -> None:
+def test_short_weak_and_missing_segments_give_no_lines() -> None:
     assert len(merge(Segments.empty(SIZE))) == 0
     assert len(merge(cells_of([(100, 100), (130, 100)]))) == 0
     weak = cells_of([(0, 60), (384, 60)])
@@ -120,7 +120,7 @@ def test_lines_scale_with_their_image() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_segments_lie_on_the_line_that_owns_them(seed: int) -> None:
+def test_segments_lie_on_their_lines(seed: int) -> None:
     rng = np.random.default_rng(seed)
     clean = cells_of([(0, 30), (384, 90)], [(10, 250), (300, 120)], [(0, 60), (384, 240)])
     noisy = clean.endpoints + rng.normal(0, 0.4, clean.endpoints.shape).astype(np.float32)
@@ -151,7 +151,7 @@ def turned(segments: Segments) -> Segments:
 
 
 @pytest.mark.parametrize("bend", [0, 12])
-def test_a_turned_image_has_turned_lines(bend: float) -> None:
+def test_transposed_segments_give_transposed_lines(bend: float) -> None:
     x = np.linspace(0, 384, 40)
     bent = np.stack([x, 70 + 0.2 * x + bend * np.sin(x / 80)], 1)
     segments = cells_of(list(map(tuple, bent.tolist())), [(10, 250), (300, 120)])
@@ -167,30 +167,30 @@ def odds(score: float) -> float:
     return score / (1 - score)
 
 
-def test_the_odds_of_a_line_are_those_of_its_segments_times_its_length() -> None:
-    """1.35 times the shorter side, 256 px, leaves the odds as they are."""
+def test_line_odds_are_segment_odds_times_length() -> None:
+    """At 1.35 times the shorter side, 256 px, the odds are those of the segments."""
     lines = merge(cells_of([(0, 60), (384, 60)]))
     assert odds(lines.scores[0]) == pytest.approx(odds(0.9) * 384 / (1.35 * 256), rel=0.01)
     short = merge(cells_of([(0, 60), (96, 60)]))
     assert odds(short.scores[0]) == pytest.approx(odds(lines.scores[0]) / 4, rel=0.1)
 
 
-def test_an_enlarged_image_asks_for_shorter_lines_down_to_a_bound() -> None:
+def test_reference_length_shrinks_with_enlargement_down_to_a_bound() -> None:
     segments = cells_of([(0, 60), (384, 60)])
     for enlarged, even_px in ((1.25, 1.35 * 256 / 1.25), (4.0, 240.0)):
         (score,) = merge(segments, enlarged=enlarged).scores
         assert odds(score) == pytest.approx(odds(0.9) * 384 / even_px, rel=0.01)
 
 
-def test_what_only_every_fourth_cell_tells_has_half_the_odds() -> None:
+def test_line_reported_by_every_fourth_cell_has_half_the_odds() -> None:
     segments = cells_of([(0, 90), (384, 90)])
     order = np.argsort(segments.endpoints[:, [0, 2]].mean(axis=1), kind="stable")[::4]
     sparse = Segments(segments.endpoints[order], segments.scores[order], SIZE)
     assert odds(merge(sparse).scores[0]) == pytest.approx(odds(merge(segments).scores[0]) / 2, rel=0.15)
 
 
-def test_the_mean_of_the_scores_counts() -> None:
-    """Of two lines at once, each by its own, whatever the lengths of the cells' segments."""
+def test_line_score_uses_the_mean_score_of_its_segments() -> None:
+    """Two lines at once; weighted by the lengths of the segments."""
     dice = np.random.default_rng(3)
     one, other = cells_of([(0, 60), (384, 60)]), cells_of([(0, 200), (384, 260)])
     drawn = [dice.uniform(0.4, 0.95, len(part)).astype(np.float32) for part in (one, other)]

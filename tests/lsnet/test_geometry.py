@@ -66,7 +66,7 @@ def test_clip_agrees_with_dense_sampling(
         assert t_out - t_in <= step
 
 
-def test_clip_broadcasts_and_knows_what_is_parallel() -> None:
+def test_clip_broadcasts_and_handles_parallel_segments() -> None:
     boxes = np.array([[0, 0, 10, 10], [0, 20, 10, 30]], float)
     segments = np.array([[-5, 5, 15, 5], [5, 25, 5, 28]], float)
     t_in, t_out = clip_to_boxes(segments[:, None], boxes)

@@ -46,7 +46,7 @@ def test_the_map_of_the_paper_is_31_by_31() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(POINT, min_size=2, max_size=4))
-def test_a_chord_is_what_dense_sampling_finds(line: list[tuple[float, float]]) -> None:
+def test_chord_agrees_with_dense_sampling(line: list[tuple[float, float]]) -> None:
     points = np.array(line)
     steps = np.hypot(*np.diff(points, axis=0).T)
     assume(steps.min() > 1)
@@ -105,7 +105,7 @@ def test_the_longest_chord_wins_in_any_order() -> None:
         np.testing.assert_allclose(targets.endpoints[0, 0], np.array([0, 10, 32, 20]) / 32, atol=1e-6)
 
 
-def test_of_parallel_lines_as_long_the_one_nearer_to_the_middle_wins() -> None:
+def test_among_parallel_lines_the_one_nearer_to_the_middle_wins() -> None:
     near, far = as_lines([(0, 14), (32, 14)], [(0, 4), (32, 4.5)])
     for lines in ([near, far], [far, near]):
         np.testing.assert_allclose(
@@ -113,25 +113,25 @@ def test_of_parallel_lines_as_long_the_one_nearer_to_the_middle_wins() -> None:
         )
 
 
-def test_a_curve_counts_by_its_chord() -> None:
+def test_curve_is_scored_by_its_chord() -> None:
     curve = as_lines([(0, 4), (16, 28), (32, 4)])
     targets = CODER.encode(curve, (32, 32))
     np.testing.assert_allclose(targets.endpoints[0, 0], [0, 4 / 32, 1, 4 / 32], atol=1e-6)
 
 
-def test_a_line_that_leaves_and_comes_back_is_one_chord() -> None:
+def test_line_that_leaves_and_reenters_a_cell_is_one_chord() -> None:
     detour = as_lines([(4, 10), (4, -40), (28, -40), (28, 20)])
     targets = CODER.encode(detour, (32, 32))
     np.testing.assert_allclose(targets.endpoints[0, 0] * 32, [4, 10, 28, 20], atol=1e-4)
 
 
-def test_a_line_on_the_border_of_two_cells_is_said_by_both() -> None:
+def test_line_on_the_border_of_two_cells_is_reported_by_both() -> None:
     targets = CODER.encode(as_lines([(32, 0), (32, 64)]), (64, 64))
     assert targets.labels.tolist() == [[POSITIVE] * 3] * 3
     np.testing.assert_allclose(targets.endpoints[0, :, 0], [1, 0.5, 0])
 
 
-def test_a_touched_corner_is_no_line() -> None:
+def test_touching_a_corner_gives_no_chord() -> None:
     targets = CODER.encode(as_lines([(0, 32), (32, 0)]), (64, 64))
     assert targets.labels[0, 0] == POSITIVE
     assert targets.labels[2, 2] == NEGATIVE

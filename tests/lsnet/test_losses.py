@@ -37,7 +37,7 @@ def test_focal_loss_without_focus_is_half_the_cross_entropy() -> None:
     torch.testing.assert_close(found, torch.nn.functional.cross_entropy(logits, labels, reduction="none") / 2)
 
 
-def test_focal_loss_stays_finite_when_surely_wrong() -> None:
+def test_focal_loss_is_finite_for_confident_errors() -> None:
     logits = torch.tensor([[200.0, -200.0]], requires_grad=True)
     loss = focal_loss(logits, torch.tensor([True]), 0.5, 2.0).sum()
     loss.backward()
@@ -124,7 +124,7 @@ def test_multi_task_loss_by_hand() -> None:
     assert losses.total.item() == pytest.approx(cells + 2 * wing / 2, rel=1e-5)
 
 
-def test_cells_that_are_ignored_or_without_a_segment_teach_only_what_they_should() -> None:
+def test_ignored_and_empty_cells_affect_only_their_part_of_the_loss() -> None:
     said = output()
     MultiTaskLoss()(said, LABELS, TARGETS).total.backward()
     logits, endpoints = said.logits.grad[0, :, 0], said.endpoints.grad[0, :, 0]
@@ -142,8 +142,10 @@ def test_an_image_without_lines_has_a_loss_and_no_regression() -> None:
 
 
 def test_other_losses_are_the_parts_asked_for() -> None:
-    told = MultiTaskLoss(error=ordered_error, regression="l2")(output(), LABELS, TARGETS)
-    assert told.regression.item() == pytest.approx((3.9**2 + 2**2) / 2 / 2)  # ends 1 1 0 0.1 are not swapped
+    result = MultiTaskLoss(error=ordered_error, regression="l2")(output(), LABELS, TARGETS)
+    assert result.regression.item() == pytest.approx(
+        (3.9**2 + 2**2) / 2 / 2
+    )  # ends 1 1 0 0.1 are not swapped
     smooth = MultiTaskLoss(regression="smooth_l1")(output(), LABELS, TARGETS)
     assert smooth.regression.item() == pytest.approx((0.1**2 / 2 + 1.5) / 2)
 

@@ -1,4 +1,4 @@
-"""The network against the paper's table, and the promises of its parts."""
+"""The network against the paper's table, and the properties of its parts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def rows_of(module: nn.Module) -> list[tuple[int, int, int]]:
 
 
 def table_parameters() -> int:
-    """Weights of each convolution; two a channel for each GroupNorm; a bias where there is no norm."""
+    """Weights of each convolution, two per channel for each GroupNorm, a bias if there is no norm."""
     total, c_in = 0, 3
     for kernel, channels, _ in EXTRACTOR_ROWS:
         total += kernel * kernel * c_in * channels + 2 * channels
@@ -61,7 +61,7 @@ def test_paper_has_as_many_parameters_as_the_table(paper: LSNet) -> None:
     assert sum(p.numel() for p in paper.parameters()) == table_parameters() == 9_924_934
 
 
-def test_paper_says_31_by_31_cells_at_512() -> None:
+def test_paper_preset_has_31_by_31_cells_at_512() -> None:
     with torch.device("meta"):  # shapes without the arithmetic
         output = LSNet(PRESETS["paper"])(torch.zeros(1, 3, 512, 512))
     assert output.logits.shape == (1, 2, 31, 31)
@@ -69,7 +69,7 @@ def test_paper_says_31_by_31_cells_at_512() -> None:
     assert output.scores.shape == (1, 31, 31)
 
 
-def test_fast_is_thin_and_says_as_many_cells() -> None:
+def test_fast_preset_is_small_with_the_same_map_size() -> None:
     with torch.device("meta"):
         net = LSNet(PRESETS["fast"])
         output = net(torch.zeros(2, 3, 512, 512))
@@ -88,7 +88,7 @@ def test_any_multiple_of_16_gives_its_map(config: LSNetConfig, height: int, widt
 
 
 @pytest.mark.parametrize("preset", ["tiny", "paper"])
-def test_a_batch_equals_its_singles(preset: str, paper: LSNet) -> None:
+def test_batch_equals_single_images(preset: str, paper: LSNet) -> None:
     net = paper if preset == "paper" else tiny_net()
     images = torch.rand(3, 3, 48, 64)
     with torch.no_grad():
@@ -129,7 +129,7 @@ def test_pixels_are_normalised_inside_the_network() -> None:
 
 
 @pytest.mark.parametrize("config", [TINY, PRESETS["fast"]])
-def test_folded_norms_say_the_same(config: LSNetConfig) -> None:
+def test_folding_norms_keeps_the_output(config: LSNetConfig) -> None:
     net = tiny_net(config=config)
     folded, images = fold_norms(net), torch.rand(2, 3, 64, 64)
     assert not any(isinstance(m, nn.BatchNorm2d) for m in folded.modules())

@@ -1,4 +1,4 @@
-"""The shapes that results have, and what may be done with them."""
+"""Shapes and methods of results."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_threshold_renumbers_the_lines_of_segments_whatever_their_order() -> N
     assert nothing.line_of.tolist() == [-1, -1]
 
 
-def test_nothing_is_ordinary() -> None:
+def test_empty_detections_behave_like_others() -> None:
     nothing = Detections.empty((3, 4))
     assert (len(nothing.segments), len(nothing.lines)) == (0, 0)
     assert nothing.segments.above(0.5).scaled_to((6, 8)).image_size == (6, 8)

@@ -1,4 +1,4 @@
-"""Weights files: what is written is read, anything else is one line."""
+"""Weights files: round trip, and one line for anything else."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def header(path: Path) -> dict[str, str]:
         return opened.metadata()
 
 
-def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+def test_save_and_load_round_trip(tmp_path: Path) -> None:
     net, path = tiny_net(3), tmp_path / "w.safetensors"
     card = WeightsCard("mine", "fast", TINY, 0.4, 1.5, {"steps": 7}, {"ods": 0.8})
     sha256 = save_weights(path, net, card)
@@ -53,7 +53,7 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     assert json.loads(header(path)["lsnet"])["format"] == 1
 
 
-def test_weights_laid_out_for_speed_are_saved_too(tmp_path: Path) -> None:
+def test_channels_last_weights_are_saved(tmp_path: Path) -> None:
     net = tiny_net().to(memory_format=torch.channels_last)
     save_weights(tmp_path / "w.safetensors", net, WeightsCard("a", "fast", TINY, 0.5))
     key = "extractor.0.0.weight"
@@ -69,7 +69,7 @@ def test_weights_laid_out_for_speed_are_saved_too(tmp_path: Path) -> None:
     ],
     ids=["missing", "extra", "wrong shape"],
 )
-def test_every_tensor_must_be_there_and_fit(saved: Path, change: object, message: str) -> None:
+def test_missing_extra_or_misshapen_tensors_are_refused(saved: Path, change: object, message: str) -> None:
     tensors, metadata = load_file(saved), header(saved)
     change(tensors)
     save_file(tensors, saved, metadata)
@@ -156,7 +156,7 @@ def test_files_too_large_for_weights_are_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["x" * 1_000_000, "a\nb", "a\0b"])
-def test_names_that_are_no_paths_are_one_short_line(name: str) -> None:
+def test_names_that_are_not_paths_are_one_short_line(name: str) -> None:
     with pytest.raises(LSNetError, match="no such weights") as error:
         load_weights(name)
     assert len(str(error.value)) < 1000
@@ -170,7 +170,7 @@ def test_paths_may_be_strings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("length", [0, 7, 100, 2000])
-def test_files_that_are_cut_off_are_refused(saved: Path, length: int) -> None:
+def test_truncated_files_are_refused(saved: Path, length: int) -> None:
     saved.write_bytes(saved.read_bytes()[:length])
     with pytest.raises(LSNetError, match="not weights that this version can use"):
         load_weights(saved)
@@ -187,7 +187,7 @@ def test_a_damaged_header_is_refused_or_harmless(tmp_path: Path, at: int, byte: 
         load_weights(path)
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+def test_missing_files_are_refused(tmp_path: Path) -> None:
     for name in (tmp_path, tmp_path / "none", "nonesuch"):
         with pytest.raises(LSNetError, match=r"no such weights; give a \.safetensors file or a shipped name"):
             load_weights(name)

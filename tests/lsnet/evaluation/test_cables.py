@@ -1,4 +1,4 @@
-"""What is found of cables that are known, by hand."""
+"""Scores on known cables, by hand."""
 
 from __future__ import annotations
 
@@ -51,40 +51,40 @@ WHOLE = [[[0, y], [128, y]] for y in (40.5, 90.5)]
 
 
 def test_all_found() -> None:
-    told = report((WHOLE[0], 0.9), (WHOLE[1], 0.6))
-    assert (told.images, told.cables) == (2, 2)
-    assert (told.sap5, told.sap15, told.covered_share, told.missed_share) == (1, 1, 1, 0)
-    assert (told.gaps_per_cable, told.false_px) == (0, 0)
-    assert (told.recalled_images, told.false_images) == (1, 0)
-    assert "2 cables" in str(told)
-    json.dumps(told.to_dict())
+    result = report((WHOLE[0], 0.9), (WHOLE[1], 0.6))
+    assert (result.images, result.cables) == (2, 2)
+    assert (result.sap5, result.sap15, result.covered_share, result.missed_share) == (1, 1, 1, 0)
+    assert (result.gaps_per_cable, result.false_px) == (0, 0)
+    assert (result.recalled_images, result.false_images) == (1, 0)
+    assert "2 cables" in str(result)
+    json.dumps(result.to_dict())
 
 
 def test_nothing_found() -> None:
-    told = report()
-    assert (told.sap10, told.covered_share, told.missed_share, told.recalled_images) == (0, 0, 1, 0)
+    result = report()
+    assert (result.sap10, result.covered_share, result.missed_share, result.recalled_images) == (0, 0, 1, 0)
 
 
-def test_what_is_below_the_threshold_counts_for_structural_ap_only() -> None:
-    told = report((WHOLE[0], 0.9), (WHOLE[1], 0.4))
-    assert told.sap5 == 1
-    assert (told.covered_share, told.missed_share) == (0.5, 0.5)
+def test_lines_below_the_threshold_count_for_structural_ap_only() -> None:
+    result = report((WHOLE[0], 0.9), (WHOLE[1], 0.4))
+    assert result.sap5 == 1
+    assert (result.covered_share, result.missed_share) == (0.5, 0.5)
 
 
 def test_gaps_and_shares() -> None:
     broken = [([[0, 40.5], [50, 40.5]], 0.9), ([[70, 40.5], [128, 40.5]], 0.9)]
-    told = report(*broken, (WHOLE[1], 0.9))
-    assert told.gaps_per_cable == 0.5
+    result = report(*broken, (WHOLE[1], 0.9))
+    assert result.gaps_per_cable == 0.5
     # 20 px are not drawn, of which the tolerance of 3 px and the pixel itself cover some on either side.
-    assert told.covered_share == pytest.approx(1 - 13 / 256, abs=0.01)
-    assert told.missed_share == 0
+    assert result.covered_share == pytest.approx(1 - 13 / 256, abs=0.01)
+    assert result.missed_share == 0
 
 
 def test_false_lines_count_on_images_with_and_without_cables() -> None:
     beside = [[10, 10.5], [59, 10.5]]
-    told = report((WHOLE[0], 0.9), (WHOLE[1], 0.9), (beside, 0.8), on_empty=((beside, 0.7),))
-    assert told.false_px == 50
-    assert told.false_images == 1
+    result = report((WHOLE[0], 0.9), (WHOLE[1], 0.9), (beside, 0.8), on_empty=((beside, 0.7),))
+    assert result.false_px == 50
+    assert result.false_images == 1
 
 
 @pytest.mark.parametrize(("row", "covered"), [(40, 100), (43, 100), (45, 0)])
@@ -96,13 +96,13 @@ def test_the_tolerance_is_three_pixels(row: int, covered: int) -> None:
     assert (found.length_px, found.covered_px, found.gaps) == (100, covered, 0)
 
 
-def test_raw_segments_cover_too() -> None:
+def test_segments_can_be_scored_instead_of_lines() -> None:
     class SaysSegments(Says):
         def detect(self, images: list[np.ndarray]) -> list[Detections]:
             halves = [[0, 40.5, 64, 40.5], [64, 40.5, 128, 40.5], [0, 90.5, 128, 90.5]]
             segments = Segments(np.array(halves, np.float32), np.full(3, 0.9, np.float32), (SIZE, SIZE))
             return [Detections(segments, Lines.empty((SIZE, SIZE))) for _ in images]
 
-    told = evaluate_cables(SaysSegments(), Scenes(), 2, min_score=0.5, use="segments")
-    assert (told.covered_share, told.gaps_per_cable, told.false_images) == (1, 0, 1)
-    assert told.sap15 == 0  # of lines, of which there are none
+    result = evaluate_cables(SaysSegments(), Scenes(), 2, min_score=0.5, use="segments")
+    assert (result.covered_share, result.gaps_per_cable, result.false_images) == (1, 0, 1)
+    assert result.sap15 == 0  # of lines, of which there are none

@@ -44,17 +44,17 @@ def test_ground_between_two_cables_is_ground() -> None:
     assert columns_of(mask) == [*range(30, 37), *range(60, 69)]
 
 
-def test_twin_cables_close_together_keep_their_gap() -> None:
+def test_twin_cables_keep_a_gap() -> None:
     mask = cable_mask(contours(40, 46, 52, 58))
     assert columns_of(mask) == [*range(40, 47), *range(52, 59)]
 
 
-def test_what_is_wider_than_a_cable_is_ground() -> None:
-    """The contours stay, as a cable seen as one line each."""
+def test_regions_wider_than_a_cable_are_ground() -> None:
+    """Each contour stays as a cable of its own."""
     assert not cable_mask(contours(30, 80))[:, 35:75].any()
 
 
-def test_contours_that_touch_are_a_cable_without_an_inside() -> None:
+def test_touching_contours_are_closed_to_a_cable() -> None:
     assert columns_of(cable_mask(contours(50, 51))) == [50, 51]
 
 
@@ -86,7 +86,7 @@ def test_masks_lie_beside_the_images(tmp_path: Path) -> None:
     assert truth.half_width_px[32, 40] == pytest.approx(3, abs=0.1)
 
 
-def test_anything_else_is_a_plain_set_by_name(tmp_path: Path) -> None:
+def test_other_folders_are_plain_sets_sorted_by_name(tmp_path: Path) -> None:
     for name in ("b.png", "a.JPG", "c.txt"):
         (tmp_path / name).touch()
     kind, files = images_of(tmp_path)

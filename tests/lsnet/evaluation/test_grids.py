@@ -1,4 +1,4 @@
-"""Grids left out are the cells whose corner lies where those of the paper do."""
+"""Cells of each grid have their corners where the paper places them."""
 
 from __future__ import annotations
 
@@ -33,6 +33,6 @@ def test_cells_are_those_of_the_grids_shifted_by_half_a_cell(
 
 
 @pytest.mark.parametrize("grids", ["", "MX", "m"])
-def test_letters_that_are_no_grid_are_one_line(grids: str) -> None:
+def test_unknown_grid_letters_are_one_line(grids: str) -> None:
     with pytest.raises(LSNetError, match="give some of the letters MHVC"):
         OnlyGrids(AllCells(), grids)

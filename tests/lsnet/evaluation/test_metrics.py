@@ -32,13 +32,13 @@ def counts(confidence: NDArray[np.float32], tolerance_px: float = 1.0, half_widt
     return pixel_counts(confidence, truth(half_width), tolerance_px, HALF)[0].tolist()
 
 
-def test_perfect_and_empty() -> None:
+def test_perfect_and_empty_detections() -> None:
     assert counts(horizontal(20)) == [50, 50, 50, 50]
     assert counts(np.zeros((40, 50), np.float32)) == [0, 0, 0, 50]
 
 
 @pytest.mark.parametrize(("row", "right", "found"), [(22, 50, 50), (23, 0, 0), (18, 50, 50), (17, 0, 0)])
-def test_the_tolerance_counts_from_the_edge_of_the_cable(row: int, right: int, found: int) -> None:
+def test_tolerance_is_measured_from_the_edge_of_the_cable(row: int, right: int, found: int) -> None:
     assert counts(horizontal(row)) == [right, 50, found, 50]
 
 
@@ -48,7 +48,7 @@ def test_half_of_a_line_is_half_of_the_recall() -> None:
     assert counts(confidence, tolerance_px=0, half_width=0) == [25, 25, 25, 50]
 
 
-def test_precision_counts_what_is_drawn_beside() -> None:
+def test_precision_counts_false_pixels() -> None:
     confidence = horizontal(20) + horizontal(5)
     (score,) = pixel_scores(np.array([[counts(confidence)]]), HALF)
     assert (score.precision, score.recall) == (0.5, 1.0)
@@ -61,7 +61,7 @@ def test_thresholds_include_their_own_score() -> None:
     assert found[:, 1].tolist() == [50, 50, 0]
 
 
-def test_what_has_no_score_is_not_drawn_at_a_threshold_of_zero() -> None:
+def test_pixels_without_score_are_not_drawn_at_a_threshold_of_zero() -> None:
     found = pixel_counts(horizontal(20, 0.1), truth(), 1.0, np.array([0.0]))
     assert found.tolist() == [[50, 50, 50, 50]]
 
@@ -81,7 +81,7 @@ def test_counts_are_pooled_before_dividing_and_f1_is_also_averaged() -> None:
     assert score.mean_f1 == pytest.approx((2 / 3 + 0) / 2)
 
 
-def test_thresholds_go_from_a_twentieth_by_twentieths() -> None:
+def test_thresholds_are_0_05_apart_from_0_05() -> None:
     np.testing.assert_allclose(THRESHOLDS, [i / 20 for i in range(1, 20)])
 
 

@@ -1,4 +1,4 @@
-"""The paper's scores by hand: averages of each image's own, and pooled."""
+"""The paper's scores by hand: averages over images, and pooled."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class FirstOnly:
         ]
 
 
-def test_means_are_of_each_image_and_pooled_of_all(tmp_path: Path) -> None:
+def test_means_are_per_image_and_pooled_scores_over_all(tmp_path: Path) -> None:
     for name, value in (("a", 0), ("b", 100)):
         for kind in ("images", "masks"):
             (tmp_path / kind).mkdir(exist_ok=True)
@@ -58,12 +58,12 @@ def test_means_are_of_each_image_and_pooled_of_all(tmp_path: Path) -> None:
     assert "1 px wide, score 0.5: APR 0.2500" in str(one)
 
 
-def test_a_plain_folder_has_none(tmp_path: Path) -> None:
+def test_folder_without_truth_has_no_paper_scores(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((*SIZE, 3), np.uint8))
     assert evaluate_as_paper(FirstOnly(), tmp_path) == []
 
 
-def test_binary_maps_are_cut_where_they_say() -> None:
+def test_binary_maps_use_the_stated_threshold() -> None:
     assert segmentation(segment(30.5, 0.5), 1, "0.5").sum() == 80
     assert not segmentation(segment(30.5, 0.49), 1, "0.5").any()
     two = Segments(

@@ -1,4 +1,4 @@
-"""Evaluation of a folder, by hand and against the scorer that the published figures were made with."""
+"""Evaluation of a folder, by hand and against the published scorer."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_perfect_detector(tmp_path: Path) -> None:
     assert json.loads(json.dumps(reports[0].to_dict()))["ods"]["precision"] == 1
 
 
-def test_ods_takes_the_best_threshold_and_the_other_the_one_asked_for(tmp_path: Path) -> None:
+def test_ods_is_the_best_threshold_beside_the_requested_one(tmp_path: Path) -> None:
     report, _ = pixel_reports(
         write_set(tmp_path), lambda _image: [[*ON_CABLE, 0.8], [*BESIDE, 0.4]], min_score=0.2
     )
@@ -76,7 +76,7 @@ def test_ods_takes_the_best_threshold_and_the_other_the_one_asked_for(tmp_path: 
     assert (report.at_min_score.threshold, report.at_min_score.precision) == (0.2, 0.5)
 
 
-def test_a_detector_that_sees_one_of_two(tmp_path: Path) -> None:
+def test_detector_that_finds_one_of_two_cables(tmp_path: Path) -> None:
     calls: list[int] = []
     reports = evaluate(
         Says(lambda image: [[*ON_CABLE, 0.9]] if image[0, 0, 0] else []),
@@ -89,7 +89,7 @@ def test_a_detector_that_sees_one_of_two(tmp_path: Path) -> None:
     assert reports[0].ods.mean_f1 == pytest.approx(0.5)
 
 
-def test_images_without_truth_are_told_by_the_share_reported(tmp_path: Path) -> None:
+def test_images_without_truth_give_the_share_with_a_report(tmp_path: Path) -> None:
     for i in range(4):
         cv2.imwrite(str(tmp_path / f"{i}.png"), np.full((40, 40, 3), i * 60, np.uint8))
     scores = {0: [], 60: [[*BESIDE, 0.35]], 120: [[*BESIDE, 0.2], [*BESIDE, 0.75]], 180: []}

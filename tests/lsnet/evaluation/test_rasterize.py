@@ -23,7 +23,7 @@ def test_lines_are_eight_connected_with_both_ends() -> None:
     np.testing.assert_array_equal(drawn, expected)
 
 
-def test_the_highest_score_is_on_top_in_any_order() -> None:
+def test_the_highest_score_is_on_top_whatever_the_order() -> None:
     weak, strong = (0.5, 3.5, 9.5, 3.5, 0.25), (4.5, 0.5, 4.5, 7.5, 0.9)
     for rows in ([weak, strong], [strong, weak]):
         assert confidence_map(segments(*rows))[3, 4] == np.float32(0.9)
@@ -47,7 +47,7 @@ def test_smoothing_keeps_the_sum_and_peaks_on_the_line() -> None:
     assert abs(smooth[20].sum() - 1) < 1e-3
 
 
-def test_otsu_parts_strong_lines_from_weak_ones() -> None:
+def test_otsu_separates_strong_lines_from_weak_ones() -> None:
     drawn = confidence_map(segments((0, 1, 10, 1, 0.1), (0, 5, 10, 5, 0.9)))
     mask = otsu_mask(drawn)
     assert mask[5].all()
@@ -56,7 +56,7 @@ def test_otsu_parts_strong_lines_from_weak_ones() -> None:
 
 @pytest.mark.parametrize("width_px", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("ends", [(5, 30, 75, 30), (5, 10, 75, 45), (40, 5, 40, 55), (30, 5, 45, 55)])
-def test_lines_are_as_wide_as_asked(width_px: int, ends: tuple[int, ...]) -> None:
+def test_lines_have_the_requested_width(width_px: int, ends: tuple[int, ...]) -> None:
     segments = Segments(np.array([ends], np.float32) + 0.5, np.ones(1, np.float32), (60, 80))
     drawn = confidence_map(segments, width_px) > 0
     is_flat = abs(ends[2] - ends[0]) >= abs(ends[3] - ends[1])

@@ -1,4 +1,4 @@
-"""Times are those of the processor."""
+"""Measured times are CPU times."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Busy:
         return []
 
 
-def test_the_least_processor_time_of_one_frame_counts() -> None:
+def test_least_cpu_time_of_all_repeats_is_returned() -> None:
     backend = Busy()
     assert 3 <= least_cpu_ms(backend, size=64, repeats=5) < 9
     assert backend.sizes == [(64, 64, 3)] * 6  # the first one warms up

@@ -1,4 +1,4 @@
-"""What a video codec leaves, against OpenCV's cosine transform and hand-made borders."""
+"""Codec artefacts, against OpenCV's cosine transform and hand-made borders."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def texture(height: int = 16, width: int = 24) -> np.ndarray:
     return np.random.default_rng(1).uniform(0, 255, (height, width)).astype(np.float32)
 
 
-def test_a_fine_step_changes_nothing() -> None:
+def test_fine_step_changes_nothing() -> None:
     plane = texture()
     np.testing.assert_allclose(quantised(plane, 1e-3), plane, atol=0.01)
 
@@ -38,7 +38,7 @@ def test_small_jumps_between_blocks_are_softened_and_edges_are_kept() -> None:
 
 
 @pytest.mark.parametrize("size", [(32, 32), (30, 45)])
-def test_frames_keep_their_size_and_their_colours_and_lose_detail(size: tuple[int, int]) -> None:
+def test_compression_keeps_size_and_colours_and_removes_detail(size: tuple[int, int]) -> None:
     colour = np.array([200, 90, 40], np.float32)
     noise = np.random.default_rng(2).normal(0, 6, (*size, 3)).astype(np.float32)
     result = video(colour + noise, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""What moves an image moves its lines with it; conditions of light; shadows."""
+"""Geometric augmentation moves images and lines alike; light conditions; shadows."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_lines_move_with_their_image(move: Callable[..., tuple[Image, list[NDArr
     np.testing.assert_array_equal(image, dotted())
 
 
-def test_sizes_are_kept_but_by_crops() -> None:
+def test_only_crops_change_the_size() -> None:
     for move in (geometric.zoom, geometric.rotate, geometric.flip):
         assert move(dotted(), [LINE], rng(3))[0].shape == (100, 90, 3)
     for seed in range(5):
@@ -78,7 +78,7 @@ def test_sizes_are_kept_but_by_crops() -> None:
         assert 45 <= width <= 90
 
 
-def test_a_flip_twice_is_nothing() -> None:
+def test_flipping_twice_restores_the_image() -> None:
     once = geometric.flip(dotted(), [LINE], rng(1))
     again, lines = geometric.flip(*once, rng(1))
     np.testing.assert_array_equal(again, dotted())
@@ -95,7 +95,7 @@ def test_five_crops_and_their_flips() -> None:
     assert sum(check_dots(*version) for version in versions) >= 10
 
 
-def test_over_a_background() -> None:
+def test_composing_over_a_background() -> None:
     cables = np.zeros((2, 2, 4), np.float32)
     cables[0, 0], cables[0, 1] = (200, 100, 50, 1), (200, 100, 50, 0.25)
     background = np.full((2, 2, 3), 80, np.float32)
@@ -147,7 +147,7 @@ def test_shadows_darken_along_the_cables_shifted() -> None:
     assert seen == 8
 
 
-def test_a_quarter_of_images_is_seen_in_another_light() -> None:
+def test_a_quarter_of_images_is_in_low_light_or_infrared() -> None:
     image, line = scene()[:16, :16], np.array([[2.0, 2.0], [9.0, 9.0]])
     changed = [conditions.augment_further(image, [line], rng(seed))[0] for seed in range(300)]
     untouched = np.mean([np.array_equal(result, image) for result in changed])

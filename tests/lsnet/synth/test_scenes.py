@@ -1,4 +1,4 @@
-"""Drawn training images: each technique on its own, cables where their centrelines say."""
+"""Drawn training images: each technique alone, cables along their centrelines."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_leaves_hide_a_cable() -> None:
     assert (image[15, :20] == 0).all()
 
 
-def test_light_falls_on_one_flank_and_strands_turn_along() -> None:
+def test_light_falls_on_one_side_and_strands_repeat_along_the_cable() -> None:
     image = np.full((32, 200, 3), 100, np.float32)
     lit = Finish((150.0, 150.0, 150.0), 0.4, 0.6, 0.0, light=0.9, strand_px=12.0)
     draw_cable(image, Arc((-5, 16), (205, 16), 0.0), (12, 12), lit)
@@ -223,14 +223,14 @@ def test_arcs_sag_to_the_right_of_their_direction() -> None:
     np.testing.assert_allclose(points, [[0, 0], [25, 7.5], [50, 10], [75, 7.5], [100, 0]])
 
 
-def test_a_cable_beside_the_image_changes_nothing() -> None:
+def test_cable_outside_the_image_changes_nothing() -> None:
     image = np.full((32, 32, 3), 200, np.float32)
     draw_cable(image, Arc((-50, -90), (80, -90), 0.0), (8, 8), FLAT)
     assert (image == 200).all()
 
 
-def test_every_drawn_cable_is_told_and_nothing_else() -> None:
-    """Each changed pixel is near a told centreline; most told pixels have changed."""
+def test_every_drawn_cable_is_returned_and_nothing_else() -> None:
+    """Each changed pixel is near a returned centreline; most pixels of centrelines have changed."""
     for seed in range(6):
         image = np.full((128, 128, 3), 120, np.float32)
         centrelines = add_cables(image, rng(seed))
@@ -282,7 +282,7 @@ def test_background_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> 
         BackgroundPool([BackgroundFolder.parse(str(tmp_path / "bad"))])
 
 
-def test_only_the_first_photographs_are_drawn_on(tmp_path: Path) -> None:
+def test_only_the_first_photographs_are_used(tmp_path: Path) -> None:
     pool = BackgroundPool([BackgroundFolder.parse(f"{write_photos(tmp_path)}:1")])
     samples = [pool.sample(rng(seed), 128) for seed in range(30)]
     assert all((s.shape, s.dtype) == ((128, 128, 3), np.float32) for s in samples)
@@ -291,7 +291,7 @@ def test_only_the_first_photographs_are_drawn_on(tmp_path: Path) -> None:
     assert 15 < sum(black) < 30
 
 
-def test_cuts_hold_what_the_photograph_holds() -> None:
+def test_crops_contain_pixels_of_the_photograph() -> None:
     image = np.zeros((300, 400, 3), np.uint8)
     image[..., 1] = 77
     for seed in range(5):
@@ -301,7 +301,7 @@ def test_cuts_hold_what_the_photograph_holds() -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (2, 2)])
-def test_photographs_of_a_few_pixels_are_drawn_on_too(size: tuple[int, int]) -> None:
+def test_photographs_of_a_few_pixels_are_used_too(size: tuple[int, int]) -> None:
     for seed in range(5):
         assert cut_out(np.zeros((*size, 3), np.uint8), rng(seed), 32).shape == (32, 32, 3)
 
@@ -313,7 +313,7 @@ def test_plain_grounds_are_of_any_brightness() -> None:
 
 
 def exif_turned_jpeg() -> bytes:
-    """A JPEG of 40 x 20 whose EXIF orientation asks for a quarter turn."""
+    """A JPEG of 40 x 20 with an EXIF orientation of a quarter turn."""
     data = cv2.imencode(".jpg", np.full((20, 40, 3), 90, np.uint8))[1].tobytes()
     tiff = b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + b"\0\0\0\0"
     segment = b"Exif\0\0" + tiff
@@ -370,7 +370,7 @@ def test_cables_are_as_wide_as_the_ground_needs(
     assert max(widths) <= 14
 
 
-def test_a_road_side_leaves_one_side_as_it_was() -> None:
+def test_roadside_keeps_the_ground_on_one_side() -> None:
     shares = []
     for seed in range(12):
         image = np.full((128, 128, 3), 77, np.uint8)
@@ -389,7 +389,7 @@ def test_clutter_paints_and_is_the_same_for_the_same_seed(paint: Callable[..., N
     assert any((image != 120).any() for image in images)
 
 
-def test_shadows_are_dark_lines_through_which_the_ground_is_seen() -> None:
+def test_shadows_are_dark_lines_with_visible_ground() -> None:
     """Of bright and dark stripes the same share of the light is left; small pictures have none."""
     ground = np.full((300, 300, 3), 200, np.uint8)
     ground[:, ::2] = 100
@@ -444,7 +444,7 @@ def test_small_scenes_are_enlarged_with_their_lines(monkeypatch: pytest.MonkeyPa
     assert widths == {2, 3, 4}
 
 
-def test_about_a_fifth_of_the_scenes_hold_no_cable() -> None:
+def test_about_a_fifth_of_the_scenes_have_no_cable() -> None:
     scenes = SyntheticScenes(BackgroundPool([]), 32)
     empty = np.mean([not scenes[i].lines for i in range(120)])
     assert empty == pytest.approx(0.2, abs=0.1)

@@ -20,7 +20,7 @@ NO_LINES = Lines((), np.zeros(0, np.float32), (1, 1))
 
 
 class Told:
-    """A detector that tells given segments of every image."""
+    """A detector that reports the given segments for every image."""
 
     def __init__(self, rows: list[list[float]], scale: float = 1.0) -> None:
         self.rows, self.scale = np.array(rows, np.float32).reshape(-1, 5), scale
@@ -30,8 +30,8 @@ class Told:
 
     def detect(self, images: list[np.ndarray]) -> list[Detections]:
         size = images[0].shape[:2]
-        told = Segments(self.rows[:, :4], self.rows[:, 4], (size[0], size[1]))
-        return [Detections(told, NO_LINES, np.full(len(told), -1, np.int32))]
+        result = Segments(self.rows[:, :4], self.rows[:, 4], (size[0], size[1]))
+        return [Detections(result, NO_LINES, np.full(len(result), -1, np.int32))]
 
 
 def position_photo(height: int, width: int) -> np.ndarray:
@@ -44,7 +44,7 @@ def squares(rows: list[list[float]], photo: np.ndarray, scale: float = 1.0) -> l
     return mining.hard_squares(photo, cast("Detector", Told(rows, scale)))
 
 
-def test_the_surest_segment_is_in_the_middle_of_the_first_square() -> None:
+def test_segment_of_the_highest_score_is_in_the_middle_of_the_first_square() -> None:
     photo = position_photo(1200, 1600)
     found = squares([[100, 100, 120, 100, 0.4], [790, 600, 810, 600, 0.9], [700, 500, 720, 500, 0.8]], photo)
     assert [square.shape for square in found] == [(512, 512, 3)] * 2
@@ -52,11 +52,11 @@ def test_the_surest_segment_is_in_the_middle_of_the_first_square() -> None:
     np.testing.assert_array_equal(found[1], photo[:512, :512])
 
 
-def test_no_segment_no_square() -> None:
+def test_no_segments_give_no_squares() -> None:
     assert squares([], position_photo(600, 600)) == []
 
 
-def test_squares_of_the_networks_image_and_never_larger_than_the_photograph() -> None:
+def test_squares_match_the_network_input_within_the_photograph() -> None:
     assert squares([[5, 5, 9, 9, 1]], position_photo(1200, 1600), scale=0.5)[0].shape == (1024, 1024, 3)
     assert squares([[5, 5, 9, 9, 1]], position_photo(96, 128), scale=3)[0].shape == (96, 96, 3)
 
@@ -80,7 +80,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
         list(mining.mine(cast("Detector", Told([])), [], tmp_path / "file"))
 
 
-def test_squares_that_would_replace_each_other_are_one_line(tmp_path: Path) -> None:
+def test_squares_of_the_same_name_are_one_line(tmp_path: Path) -> None:
     for folder, name in (("a/photos", "1.png"), ("b/photos", "1.jpg")):
         (tmp_path / folder).mkdir(parents=True)
         cv2.imwrite(str(tmp_path / folder / name), position_photo(40, 40))

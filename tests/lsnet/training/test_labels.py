@@ -1,4 +1,4 @@
-"""One's own labelled images, written by hand."""
+"""Labelled images of a user, written by hand."""
 
 from __future__ import annotations
 
@@ -129,15 +129,15 @@ def test_a_set_without_lines_is_refused(tmp_path: Path) -> None:
         load_labels(tmp_path / "none")
 
 
-def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_missing_image_is_named(tmp_path: Path) -> None:
     (coco(tmp_path) / "sub/a.png").unlink()
     with pytest.raises(LSNetError, match=r"a\.png: cannot be read as an image"):
         LabelledScenes(load_labels(tmp_path))
 
 
 @pytest.mark.parametrize("write", ["labelme", "coco"])
-def test_labels_of_a_turned_image_are_refused(tmp_path: Path, write: str) -> None:
-    """Labelling tools show an image as its EXIF orientation asks; here it is as it is stored, 80 x 60."""
+def test_labels_of_a_rotated_image_are_refused(tmp_path: Path, write: str) -> None:
+    """Labelling tools apply the EXIF orientation; here the image is read as stored, 80 x 60."""
     for width, height in ((80, 60), (60, 80)):
         if write == "labelme":
             labelme(tmp_path, LABELME | {"imageHeight": height, "imageWidth": width})
@@ -168,7 +168,7 @@ def test_lines_move_with_the_crop(seed: int) -> None:
     assert seen or seed  # the first seed, at least, shows some of them
 
 
-def test_no_line_is_mirrored_into_what_lies_beyond_the_image() -> None:
+def test_lines_are_not_mirrored_beyond_the_image() -> None:
     """A bright frame line: all that is bright in the crop is near its moved line."""
     image, line = np.zeros((64, 64, 3), np.uint8), np.array([[2.5, 0.0], [2.5, 64.0]])
     image[:, 2] = 255

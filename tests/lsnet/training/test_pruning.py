@@ -1,4 +1,4 @@
-"""Narrower networks: what does nothing can be left out without a trace."""
+"""Pruning: channels without effect can be dropped without changing the output."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ NARROW = replace(TINY, stem_channels=3, stage_channels=(2, 5, 6), head_channels=
 
 
 def silence(layer: torch.nn.Module, live: torch.Tensor) -> None:
-    """Only the channels `live` ever say anything."""
+    """Set all channels but `live` to zero."""
     dead = torch.ones(layer[1].num_features, dtype=torch.bool)
     dead[live] = False
     with torch.no_grad():
@@ -24,7 +24,7 @@ def silence(layer: torch.nn.Module, live: torch.Tensor) -> None:
 
 
 def silenced(config: LSNetConfig) -> LSNet:
-    """A wider network in which as many channels speak as `config` has, other ones in every layer."""
+    """Return a wider network with as many active channels as `config`, different ones in each layer."""
     net = tiny_net(config=replace(TINY, context_blocks=1))
     widths = [config.stem_channels, *config.stage_channels]
     trunk = -1
@@ -42,7 +42,7 @@ def silenced(config: LSNetConfig) -> LSNet:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_channels_that_say_nothing_are_not_missed(seed: int) -> None:
+def test_pruning_silent_channels_changes_nothing(seed: int) -> None:
     torch.manual_seed(seed)
     wide = silenced(NARROW)
     narrow = slim(wide, NARROW).eval()
@@ -71,7 +71,7 @@ def test_only_widths_can_shrink(other: LSNetConfig) -> None:
         slim(tiny_net(), other)
 
 
-def test_a_training_begins_with_the_channels_that_matter(tmp_path, monkeypatch) -> None:
+def test_training_starts_from_the_most_important_channels(tmp_path, monkeypatch) -> None:
     wide = save_tiny(tmp_path / "wide.safetensors")
     monkeypatch.setitem(PRESETS, "fast", replace(TINY, stage_channels=(4, 6, 8)))
     trainer = Trainer(TrainConfig(), tmp_path / "run", start=wide)

@@ -70,23 +70,23 @@ def quiet(_progress: TrainingProgress) -> None:
     pass
 
 
-def test_a_tiny_set_is_learnt_by_heart(tmp_path: Path) -> None:
+def test_training_overfits_a_tiny_set(tmp_path: Path) -> None:
     config = replace(QUICK, steps=100, batch_size=4, validate_every=50, learning_rate=2e-2)
     reports: list[TrainingProgress] = []
     trainer = Trainer(config, tmp_path / "run")
     before = trainer.validate(list(train.loader(Strokes(), range(4), config)))
     trainer.run(Strokes(), Strokes(), reports.append)
-    told = [r for r in reports if r.validation_loss is not None]
-    assert [r.step for r in told] == [50, 100]
+    found = [r for r in reports if r.validation_loss is not None]
+    assert [r.step for r in found] == [50, 100]
     assert trainer.best_loss < before / 2
-    assert told[-1].loss < before / 4
-    assert told[-1].classification < 0.02
-    assert told[-1].loss == pytest.approx(told[-1].classification + told[-1].regression, rel=1e-5)
+    assert found[-1].loss < before / 4
+    assert found[-1].classification < 0.02
+    assert found[-1].loss == pytest.approx(found[-1].classification + found[-1].regression, rel=1e-5)
     log = [json.loads(line) for line in (tmp_path / "run/log.jsonl").read_text().splitlines()]
-    assert [entry["validation_loss"] for entry in log] == [r.validation_loss for r in told]
+    assert [entry["validation_loss"] for entry in log] == [r.validation_loss for r in found]
 
 
-def test_a_killed_run_ends_with_the_weights_of_an_undisturbed_one(tmp_path: Path) -> None:
+def test_interrupted_run_gives_the_weights_of_an_uninterrupted_one(tmp_path: Path) -> None:
     class Killed(Exception):  # noqa: N818
         pass
 
@@ -109,7 +109,7 @@ def test_a_killed_run_ends_with_the_weights_of_an_undisturbed_one(tmp_path: Path
     assert (whole["step"], whole["best_loss"]) == (killed["step"], killed["best_loss"])
 
 
-def test_the_same_seed_gives_the_same_run_and_another_another(tmp_path: Path) -> None:
+def test_seed_determines_the_run(tmp_path: Path) -> None:
     nets = [Trainer(QUICK, tmp_path / str(i), seed=seed).net for i, seed in enumerate((1, 1, 2))]
     same, other = (
         all(torch.equal(a, b) for a, b in zip(nets[0].parameters(), net.parameters(), strict=True))
@@ -118,7 +118,7 @@ def test_the_same_seed_gives_the_same_run_and_another_another(tmp_path: Path) ->
     assert (same, other) == (True, False)
 
 
-def test_validation_comes_when_asked_and_at_the_end(tmp_path: Path) -> None:
+def test_validation_runs_at_its_interval_and_at_the_end(tmp_path: Path) -> None:
     config, steps = replace(QUICK, steps=7, validate_every=3), []
     trainer = Trainer(config, tmp_path)
     trainer.run(Strokes(), Strokes(), lambda p: steps.append((p.step, p.validation_loss is not None)))
@@ -140,7 +140,7 @@ def test_a_run_stops_when_validation_does_not_improve_and_stays_stopped(tmp_path
     assert (again.step, samples.asked) == (5, [])
 
 
-def test_the_average_is_kept_and_not_the_last_weights(tmp_path: Path) -> None:
+def test_the_averaged_weights_are_kept(tmp_path: Path) -> None:
     trainer = Trainer(QUICK, tmp_path)
     trainer.run(Strokes(), Strokes(), quiet)
     kept, last = torch.load(tmp_path / "best.pt"), torch.load(tmp_path / "last.pt")
@@ -159,8 +159,8 @@ def test_another_recipe_is_refused(tmp_path: Path, change: dict[str, object]) ->
     Trainer(replace(QUICK, threads=2), tmp_path)  # how it is computed may change
 
 
-def test_a_run_outlives_a_change_of_its_preset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It can be exported, and is not gone on with by mistake."""
+def test_run_continues_after_its_preset_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It can be exported, and cannot be continued with another network by mistake."""
     Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)
     monkeypatch.setitem(model.PRESETS, QUICK.preset, replace(TINY, head_channels=16))
     export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
@@ -169,7 +169,7 @@ def test_a_run_outlives_a_change_of_its_preset(tmp_path: Path, monkeypatch: pyte
         Trainer(QUICK, tmp_path / "run")
 
 
-def test_a_run_begins_with_the_weights_of_another(tmp_path: Path) -> None:
+def test_run_can_start_from_the_weights_of_another(tmp_path: Path) -> None:
     Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
     started = Trainer(QUICK, tmp_path / "b", seed=5, start=tmp_path / "a/best.pt")
     kept = torch.load(tmp_path / "a/best.pt")["average"]
@@ -178,7 +178,7 @@ def test_a_run_begins_with_the_weights_of_another(tmp_path: Path) -> None:
     assert started.step == 0
 
 
-def test_a_run_begins_with_shipped_weights(tmp_path: Path) -> None:
+def test_run_can_start_from_shipped_weights(tmp_path: Path) -> None:
     started = Trainer(replace(QUICK, preset="fast"), tmp_path, start="fast")
     shipped = load_weights("fast").net.state_dict()
     assert all(torch.equal(t, shipped[name]) for name, t in started.average.state_dict().items())
@@ -202,7 +202,7 @@ def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
         Trainer(QUICK, tmp_path / "file")
 
 
-def test_a_run_with_a_strange_checkpoint_is_one_line(tmp_path: Path) -> None:
+def test_run_with_a_checkpoint_of_another_network_is_one_line(tmp_path: Path) -> None:
     Trainer(replace(QUICK, steps=1), tmp_path).run(Strokes(), Strokes(), quiet)
     last = torch.load(tmp_path / "last.pt")
     for strange in (torch.zeros(3), {"a": 1}, last | {"net": {}}, last | {"optimizer": {}}):
@@ -227,7 +227,7 @@ def test_a_checkpoint_that_cannot_be_written_is_one_line(tmp_path: Path) -> None
         save_checkpoint({}, tmp_path / "none/best.pt")
 
 
-def test_a_run_that_loses_itself_is_one_line(tmp_path: Path) -> None:
+def test_diverging_run_is_one_line(tmp_path: Path) -> None:
     trainer = Trainer(replace(QUICK, learning_rate=1e30), tmp_path)
     with pytest.raises(LSNetError, match="the loss is no longer finite; lower the learning rate"):
         trainer.run(Strokes(), Strokes(), quiet)
@@ -270,7 +270,7 @@ def test_export_keeps_the_best_average_with_its_recipe(tmp_path: Path) -> None:
     assert loaded.card.metrics == {"evaluated": [{"folder": "a"}, {"folder": "b"}]}
 
 
-def test_export_of_what_is_no_run_is_one_line(tmp_path: Path) -> None:
+def test_export_of_a_folder_without_a_run_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LSNetError, match="train to the first validation"):
         export_run(tmp_path, tmp_path / "x.safetensors", "mine", 0.4, None)
     Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)

@@ -1,4 +1,4 @@
-"""Rivals tell what they find in our terms."""
+"""Other detectors behind the interface of `Detector`."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def test_lsd_of_a_plain_image_finds_nothing() -> None:
     assert (len(found.segments), len(found.lines)) == (0, 0)
 
 
-def test_mlsd_tells_segments_from_centres_and_steps_to_their_ends() -> None:
+def test_mlsd_decodes_centres_and_displacements() -> None:
     steps = np.zeros((64, 128, 4), np.float32)
     steps[30, 50] = (-20.5, -10, 19.5, 20)  # x y of the one end, x y of the other
     steps[10, 10] = (-4, 0, 4, 0)  # too short
@@ -43,7 +43,7 @@ def test_mlsd_tells_segments_from_centres_and_steps_to_their_ends() -> None:
     np.testing.assert_allclose(found.segments.scores, 1 - np.exp(-lengths / SCORE_LENGTH_PX), rtol=1e-5)
 
 
-def test_files_that_are_no_network_are_one_line(tmp_path: Path) -> None:
+def test_files_that_are_not_a_network_are_one_line(tmp_path: Path) -> None:
     openvino_or_skip()
     (tmp_path / "a.tflite").write_bytes(b"no network")
     for name in ("a.tflite", "missing.tflite"):

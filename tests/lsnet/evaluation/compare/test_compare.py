@@ -1,4 +1,4 @@
-"""Comparisons of networks: fixed data, short trainings that go on, a table and a chart."""
+"""Comparisons of networks: fixed data, short trainings that continue, a table and a chart."""
 
 from __future__ import annotations
 
@@ -70,15 +70,15 @@ def test_crops_move_the_lines_with_the_image() -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_what_has_a_result_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_variants_with_a_result_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lsnet.evaluation.compare.compare.cpu_ms_of", lambda _network: {"torch": 1.5})
     comparison = Comparison(tmp_path, (), (write_masks(tmp_path / "masked"),), images=4, steps=2, crop=64)
     first, second = Variant("a", TINY), Variant("b", replace(TINY, stage_blocks=2))
-    told: list[tuple[str, int]] = []
+    found: list[tuple[str, int]] = []
     rows = compare_all(comparison, (first,), workers=0)
-    again = compare_all(comparison, (first, second), workers=0, report=lambda *words: told.append(words))
+    again = compare_all(comparison, (first, second), workers=0, report=lambda *words: found.append(words))
     assert again[0] == rows[0]
-    assert {name for name, step in told if step} == {"b"}
+    assert {name for name, step in found if step} == {"b"}
     assert again[1].result.parameters > again[0].result.parameters
     assert set(results_of(comparison)) == {"a", "b"}
     assert 0 <= rows[0].result.ods["masked"] <= 1
@@ -94,7 +94,7 @@ def test_what_has_a_result_is_not_run_again(tmp_path: Path, monkeypatch: pytest.
         compare_all(comparison, (first,), workers=0)
 
 
-def test_candidates_are_told_apart_by_name_and_one_name_is_one_thing() -> None:
+def test_variant_names_are_unique_and_consistent() -> None:
     by_name: dict[str, Variant] = {}
     for candidates in VARIANTS.values():
         assert len({c.name for c in candidates}) == len(candidates)

@@ -31,7 +31,7 @@ def test_braces_cross_and_end_on_the_legs() -> None:
         assert radius_m == pytest.approx(0.09)
 
 
-def test_a_string_holds_from_above_disc_by_disc() -> None:
+def test_insulator_string_has_evenly_spaced_discs() -> None:
     pin, *discs = insulators(FOOT, 7)
     assert pin[0] == (10.0, -3.0, 2.0)
     middles = [(start[2] + end[2]) / 2 - 2 for start, end, _ in discs]

@@ -1,4 +1,4 @@
-"""Conductors by their geometry, rendered ones by where they come out; rendered scenes as training data."""
+"""Geometry of conductors, places of rendered ones, and rendered scenes as training data."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def write_picture(folder: Path) -> Path:
     return folder
 
 
-def test_rendered_scenes_show_the_cable_where_the_line_is(tmp_path: Path) -> None:
+def test_rendered_scenes_have_the_cable_where_the_line_is(tmp_path: Path) -> None:
     scenes = RenderedScenes(write_picture(tmp_path), BackgroundPool([]), size=96)
     differences = []
     for i in range(20):

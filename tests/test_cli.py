@@ -514,3 +514,95 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     ) as child:
         child.stdout.close()
         assert child.stderr.read() == b""
+
+
+def test_a_result_without_frames_replaces_none_with_frames(
+    run: Callable[..., Outcome], tmp_path: Path
+) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    run("process", "a.mcap")
+    later = ("process", "a.mcap", "--start", "2030-01-01", "--json")
+    for force in ((), ("--force",)):
+        outcome = run(*later, *force)
+        assert (outcome.exit_code, outcome.out) == (1, "")
+        assert "has 3 in the store, which stay" in outcome.err
+        assert outcome.err.endswith("(--yes replaces them)\n")
+    count = ("query", "SELECT count(*) AS n FROM frames", "--format", "csv")
+    assert run(*count).out == "n\n3\n"
+    outcome = run(*later, "--yes")
+    assert json.loads(outcome.out)["n_frames_replaced"] == 3
+    assert "this result of 0 frames replaces one of 3 frames" in outcome.err
+    assert run(*count).out == "n\n0\n"
+
+
+def test_process_reads_options_from_a_file(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(9))
+    (tmp_path / "p.toml").write_text('every = 4\nwrite = "none"\n')
+    assert json.loads(run("process", "a.mcap", "--config", "p.toml", "--json").out)["n_frames"] == 3
+    (tmp_path / "p.toml").write_text("evry = 4\n")
+    assert run("process", "a.mcap", "--config", "p.toml").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("query", "SELECT 1"),
+        ("flights", "list"),
+        ("flights", "rm", "ab"),
+        ("anomalies", "list"),
+        ("spans", "list"),
+        ("check",),
+        ("runs",),
+        ("quarantine", "list"),
+        ("index", "verify"),
+        ("index", "rebuild"),
+        ("overlay", "ab", "-o", "o.png"),
+    ],
+    ids=" ".join,
+)
+def test_a_mistyped_store_is_not_created(
+    run: Callable[..., Outcome], tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    outcome = run(*command, "--store", "mistyped")
+    assert (outcome.exit_code, outcome.out) == (1, "")
+    assert f"{tmp_path}/mistyped: there is no store; check the name" in outcome.err
+    assert not (tmp_path / "mistyped").exists()
+
+
+def test_lists_that_are_empty_say_so(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a.mcap", shots(3))
+    run("process", "a.mcap")
+    for line in run("anomalies", "list").out.splitlines()[1:]:
+        run("anomalies", "mark", line.split()[0], "dismissed")
+    assert run("anomalies", "list").out == "no open anomalies; --all lists the reviewed ones\n"
+    assert run("spans", "list").out.startswith("no spans; ")
+    assert run("quarantine", "list").out == "no recordings in quarantine\n"
+    assert run("flights", "list").out.splitlines()[0].split()[:2] == ["flight_id", "start"]
+
+
+def test_times_in_a_zone(run: Callable[..., Outcome], tmp_path: Path) -> None:
+    make_recording(tmp_path / "a b%.mcap", shots(1))  # 2023-11-14 22:13:20 UTC
+    run("process", "a b%.mcap")
+    assert "2023-11-14T22:13:20Z" in run("flights", "list").out
+    listed = run("flights", "list", "--timezone", "Europe/Zurich").out
+    assert "2023-11-14T23:13:20+01:00" in listed
+    assert "a b%.mcap" in listed
+
+
+def test_the_suffix_decides_the_format_and_nothing_is_cut(
+    run: Callable[..., Outcome], tmp_path: Path
+) -> None:
+    make_recording(tmp_path / "a.mcap", shots(1))
+    run("process", "a.mcap")
+    sql = "SELECT range AS i, repeat('x', 200) AS long FROM range(1500)"
+    for name in ("t.csv", "t.txt", "t.json"):
+        assert run("query", sql, "-o", name).exit_code == 0
+        text = (tmp_path / name).read_text()
+        assert text.count("x" * 200) == 1500
+    assert (tmp_path / "t.csv").read_text().splitlines()[0] == "i,long"
+    assert len(json.loads((tmp_path / "t.json").read_text())) == 1500
+    assert run("query", sql).out.endswith("(the first 1000 rows; a file gets all of them)\n")
+    assert (
+        run("query", "SELECT flight_id FROM flights").out.splitlines()[2]
+        == (run("flights", "list").out.splitlines()[1].split()[0])
+    )

@@ -181,3 +181,27 @@ def test_weights_that_are_not_there_are_one_line() -> None:
     result = CliRunner().invoke(cli.app, ["detect", "a.png", "--weights", "nonesuch"])
     assert isinstance(result.exception, LSNetError)
     assert "nonesuch: no such weights" in str(result.exception)
+
+
+def test_folders_and_globs(folder: Path) -> None:
+    (folder / "photos" / "below").mkdir(parents=True)
+    for name in ("photos/x.JPG", "photos/below/y.jpg"):
+        (folder / name).write_bytes((folder / "b.jpg").read_bytes())
+    (folder / "photos" / "notes.txt").touch()
+    both = ["photos/below/y.jpg", "photos/x.JPG"]
+    assert sorted(row["path"] for row in rows(detect("photos", "--json"))) == both
+    assert sorted(row["path"] for row in rows(detect("photos/**/*.[jJ]*", "--json"))) == both
+
+
+def test_missing_images_are_reported_before_anything_loads(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lsnet.Detector", None)
+    (folder / "empty").mkdir()
+    result = detect("none.jpg", "none/*.jpg", "empty")
+    assert result.exit_code == 1
+    assert result.stderr.splitlines() == [
+        "error: none.jpg: there is no such file; check the name",
+        "error: none/*.jpg: there is no such file; check the name",
+        "error: empty: there is no image in it; check the name",
+    ]

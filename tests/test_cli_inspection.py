@@ -114,6 +114,31 @@ def test_a_review_lasts_and_settles_the_check(store: Store) -> None:
     run("anomalies", "mark", "none", "confirmed", code=1)
 
 
+def test_a_review_is_taken_back_by_an_abbreviated_id(store: Store) -> None:
+    odd = rows("anomalies", "list")[0]["anomaly_id"]
+    others = [row["anomaly_id"] for row in rows("anomalies", "list")[1:]]
+    short = next(odd[:n] for n in range(1, 13) if not any(each.startswith(odd[:n]) for each in others))
+    run("anomalies", "mark", short, "confirmed", "--by", "kim")
+    reviewed = next(row for row in rows("anomalies", "list", "--all") if row["anomaly_id"] == odd)
+    assert (reviewed["verdict"], reviewed["reviewed_by"]) == ("confirmed", "kim")
+    assert reviewed["reviewed_at"].endswith("Z")
+    assert run("anomalies", "mark", short, "open", "--by", "lee") == f"{odd} open\n"
+    assert odd in {row["anomaly_id"] for row in rows("anomalies", "list")}
+    assert load_reviews(store) == []
+    log = [json.loads(line) for line in (store.root / "reviews.jsonl").read_text().splitlines()]
+    assert [(line["verdict"], line["reviewed_by"]) for line in log] == [("confirmed", "kim"), ("open", "lee")]
+
+
+def test_reviews_of_older_versions_are_read(store: Store) -> None:
+    odd = rows("anomalies", "list")[0]["anomaly_id"]
+    run("anomalies", "mark", odd, "dismissed", "--by", "kim")
+    log = store.root / "reviews.jsonl"
+    line = json.loads(log.read_text())
+    del line["reviewed_by"]
+    log.write_text(json.dumps(line) + "\n")
+    assert [(one.verdict, one.reviewed_by) for one in load_reviews(store)] == [("dismissed", "")]
+
+
 def test_check_by_other_rules(store: Store, tmp_path: Path) -> None:
     lenient, strict = tmp_path / "lenient.toml", tmp_path / "strict.toml"
     lenient.write_text("[check]\nfail_on = []\nmin_frame_share = 0.1\n")

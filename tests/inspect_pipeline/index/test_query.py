@@ -435,3 +435,16 @@ def test_a_reader_that_goes_away(store: Store) -> None:
         assert process.stdout.readline() == b"range\n"
         process.stdout.close()
         assert process.stderr.read() == b""
+
+
+@pytest.mark.parametrize("width", [40, 60, 100])
+def test_tables_fit_the_terminal(width: int) -> None:
+    """In columns that are cut where that is enough, else a row as a block of lines."""
+    names = [f"column_{i}" for i in range(8)]
+    out = io.StringIO()
+    rows = query_child.Rows(names, ["VARCHAR"] * 8, iter([tuple("x" * 5 * i for i in range(8))] * 2))
+    query_child.write_table(rows, out, max_rows=10, width=width)
+    text = out.getvalue()
+    assert max(map(len, text.splitlines())) <= width
+    assert all(name in text for name in names)
+    assert text.endswith("(2 rows)\n")

@@ -1,7 +1,7 @@
-"""Recordings through workers, one at a time each: supervised, timed, and replaced when they die.
+"""Supervised workers, each with one recording at a time: timed, and replaced when they die.
 
-A recording takes down at most the worker it is in, and is tried again. What a worker is, a process of this
-machine or an actor of a cluster, is left to its executor.
+A recording takes down at most its own worker, and is tried again. Subclasses decide what a worker is: a
+process of this machine or an actor of a cluster.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAX_FAILED_STARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a recording: its result, or the failure of the last of its `attempts`."""
+    """The result of a recording, or the failure of the last of its `attempts`."""
 
     candidate: Candidate
     attempts: int
@@ -52,7 +52,7 @@ class _Task:
 
 
 class Worker(ABC):
-    """What recordings are given to, and the one it is at. Its first message is a Ready."""
+    """A worker and the task it is working on. Its first message is a Ready."""
 
     def __init__(self) -> None:
         self.is_ready = False
@@ -62,15 +62,15 @@ class Worker(ABC):
 
     @abstractmethod
     def _send(self, path: Path, run: RunRecord) -> bool:
-        """Start on a recording; False when the worker has died, which its next message says."""
+        """Start on a recording; False when the worker has died, as its next message reports."""
 
     @abstractmethod
     def receive(self) -> Any:
-        """The message that waits, or a WorkerFailure "killed" when the worker has died."""
+        """Return the waiting message, or a WorkerFailure "killed" when the worker has died."""
 
     @abstractmethod
     def kill(self) -> None:
-        """End it, whatever it is doing: the store is made for that."""
+        """End it at once, whatever it is doing; the store allows that."""
 
     @property
     def is_free(self) -> bool:
@@ -86,7 +86,7 @@ class Worker(ABC):
         return True
 
     def take(self) -> _Task | None:
-        """The task that has ended, one attempt the richer; the worker is free for another."""
+        """Return the ended task with its attempts counted; the worker is free again."""
         task, self.task, self.deadline = self.task, None, math.inf
         if task is None:
             return None
@@ -98,10 +98,10 @@ AnyWorker = TypeVar("AnyWorker", bound=Worker)
 
 
 class Executor(ABC, Generic[AnyWorker]):
-    """Up to `n_workers` workers for a job; all of them are gone after the `with` block.
+    """Runs up to `n_workers` workers for a job; all of them have ended after the `with` block.
 
-    timeout_s: of one attempt at a recording; max_attempts: before it is given up;
-    should_stop: asked twice a second, true ends `run` with what is under way dropped.
+    timeout_s: time limit of one attempt at a recording; max_attempts: before it is given up; should_stop:
+    polled twice a second, true ends `run` and drops unfinished recordings.
     """
 
     def __init__(
@@ -121,11 +121,11 @@ class Executor(ABC, Generic[AnyWorker]):
 
     @abstractmethod
     def _start_worker(self) -> AnyWorker:
-        """Another worker, on its way; raises DetectorError when there can be none."""
+        """Start another worker; raises DetectorError when that is impossible."""
 
     @abstractmethod
     def _with_message(self) -> list[AnyWorker]:
-        """The workers of whom a message waits; waits up to POLL_S for the first."""
+        """Return the workers with a waiting message, after up to POLL_S for the first."""
 
     def __enter__(self) -> Self:
         return self
@@ -138,7 +138,7 @@ class Executor(ABC, Generic[AnyWorker]):
         self._workers.clear()
 
     def describe(self) -> Mapping[str, str | int | float]:
-        """What the detector says about itself, {} when stopped before; raises DetectorError."""
+        """Return the description of the detector, {} when stopped before; raises DetectorError."""
         while self._description is None and not self._should_stop():
             try:
                 if not self._workers:
@@ -152,7 +152,7 @@ class Executor(ABC, Generic[AnyWorker]):
         return self._description or {}
 
     def run(self, candidates: Iterable[Candidate], run: RunRecord) -> Iterator[Outcome]:
-        """The outcome of each recording, in the order they end.
+        """Yield the outcome of each recording, in the order they end.
 
         Raises DetectorError when no worker can start, StoreError when the store cannot be written,
         TerrainError when the terrain model is gone.
@@ -171,7 +171,7 @@ class Executor(ABC, Generic[AnyWorker]):
                     queue.append(task)
 
     def _assign(self, queue: deque[_Task], run: RunRecord) -> None:
-        """Give a recording to every worker that is free, and start workers for the others."""
+        """Give a recording to every free worker, and start workers for the others."""
         for worker in self._workers:
             if queue and worker.is_free and worker.give(queue[0], run, self._timeout_s):
                 queue.popleft()
@@ -180,11 +180,11 @@ class Executor(ABC, Generic[AnyWorker]):
         self._workers += [self._start_worker() for _ in range(n_wanted)]
 
     def _messages(self) -> list[tuple[AnyWorker, Any]]:
-        """What workers have sent, a WorkerFailure for each that has died; waits a little for the first."""
+        """Return the messages of workers, a WorkerFailure for each that has died."""
         return [(worker, worker.receive()) for worker in self._with_message()]
 
     def _late(self) -> Iterator[tuple[AnyWorker, WorkerFailure]]:
-        """Yield each worker whose time is up; one may still be starting while others are ready."""
+        """Yield each worker past its deadline; one may still be starting while others are ready."""
         for worker in list(self._workers):
             if time.monotonic() < worker.deadline:
                 continue
@@ -196,7 +196,7 @@ class Executor(ABC, Generic[AnyWorker]):
     def _settle(
         self, worker: AnyWorker, message: Any
     ) -> tuple[_Task | None, ProcessResult | WorkerFailure | None]:
-        """The recording that a message is about, with its result; both None when it is about the worker."""
+        """Return the recording of a message and its result; both None for a message about the worker."""
         if isinstance(message, InspectError):
             raise message
         if isinstance(message, Ready):
@@ -210,7 +210,7 @@ class Executor(ABC, Generic[AnyWorker]):
         return worker.take(), message
 
     def _welcome(self, worker: AnyWorker, message: Ready) -> None:
-        """A worker joins; raises DetectorError when it would detect otherwise than those before."""
+        """Accept a worker; raises DetectorError when its detector differs from that of the others."""
         known = self._description or message.description
         for name in known.keys() | message.description.keys():
             ours, theirs = known.get(name), message.description.get(name)
@@ -229,7 +229,7 @@ class Executor(ABC, Generic[AnyWorker]):
 
 @contextmanager
 def signals_blocked() -> Iterator[None]:
-    """What a terminal or systemd sends to the whole group is for the parent: children inherit the mask."""
+    """Block the signals that a terminal or systemd sends to the whole group; children inherit the mask."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield

@@ -1,6 +1,6 @@
 """Workers that are processes of this machine.
 
-A pool of concurrent.futures loses every waiting recording with the first killed worker; these stand alone.
+ProcessPoolExecutor loses every pending recording with the first killed worker; these are independent.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from inspect_pipeline.batch.worker import Job
     from inspect_pipeline.store.records import RunRecord
 
-_STDERR = 2  # what native libraries print in a worker is no result
+_STDERR = 2  # native libraries may print in a worker, which must not reach stdout
 
 
 class _Process(Worker):
-    """A child process at the other end of a pipe."""
+    """A child process with a pipe to it."""
 
     def __init__(self, job: Job) -> None:
         super().__init__()
         self.connection, theirs = multiprocessing.Pipe()
         arguments = [str(theirs.fileno()), str(os.getpid())]
-        with theirs, signals_blocked():  # our copy of their end is closed: when they end, the pipe does
+        with theirs, signals_blocked():  # their end is closed here, so that the pipe ends with the worker
             self._process = subprocess.Popen(
                 [
                     sys.executable,
@@ -49,7 +49,7 @@ class _Process(Worker):
                 stdin=subprocess.DEVNULL,
                 stdout=_STDERR,
             )
-        with suppress(OSError):  # it has died, which its first message says
+        with suppress(OSError):  # it has died, as its first message reports
             self.connection.send(sys.path)
             self.connection.send(job)
         self.deadline = time.monotonic() + START_S
@@ -62,7 +62,7 @@ class _Process(Worker):
         return True
 
     def receive(self) -> Any:
-        """The message that waits in the pipe, or a WorkerFailure when the pipe has ended."""
+        """Return the waiting message, or a WorkerFailure when the pipe has ended."""
         try:
             return self.connection.recv()
         except (EOFError, OSError):
@@ -76,7 +76,7 @@ class _Process(Worker):
 
 
 class LocalExecutor(Executor[_Process]):
-    """Up to `n_workers` processes."""
+    """Runs up to `n_workers` processes."""
 
     def describe(self) -> Mapping[str, str | int | float]:
         """Return what the detector says about itself, without a worker where possible."""

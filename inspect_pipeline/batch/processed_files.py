@@ -1,6 +1,6 @@
-"""Which flight a file of the inbox holds, so that an unchanged file need not be read to know that it is done.
+"""The cache of processed files: the flight of each file of the inbox, so that unchanged files are not read.
 
-stat_cache.jsonl, a line per file. It may be deleted: then files are hashed again, and not processed again.
+stat_cache.jsonl, one line per file. It may be deleted: files are then hashed again, but not processed again.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from inspect_pipeline.atomic import store_errors, write_whole
+from inspect_pipeline.store.records import parse_json
 
 if TYPE_CHECKING:
     from inspect_pipeline.batch.inbox import Candidate
     from inspect_pipeline.store.store import Store
 
-ANNOTATED_COPY = "annotated copy"  # stands where a recording has its flight_id
+ANNOTATED_COPY = "annotated copy"  # in place of a flight_id
 _MAX_STALE_LINES = 1000
 
 
@@ -32,19 +33,19 @@ class StatCache:
         self._n_stale = len(lines) - len(self._known)
 
     def flight_id(self, candidate: Candidate) -> str | None:
-        """The flight in a file that is as it was, ANNOTATED_COPY for one of ours; else None."""
+        """Return the flight in an unchanged file, ANNOTATED_COPY for an annotated copy, else None."""
         size_bytes, mtime_ns, flight_id = self._known.get(str(candidate.path), (-1, -1, ""))
         return flight_id if (size_bytes, mtime_ns) == (candidate.size_bytes, candidate.mtime_ns) else None
 
     def add(self, candidate: Candidate, flight_id: str) -> None:
-        """Remember what is in a file."""
+        """Remember the flight of a file."""
         entry = (candidate.size_bytes, candidate.mtime_ns, flight_id)
         self._known[str(candidate.path)] = entry
         with store_errors(self._path), self._path.open("a", encoding="utf-8") as file:
             file.write(_to_line(str(candidate.path), entry))
 
     def compact(self) -> None:
-        """Write the file anew without lines that hold no more, once there are many."""
+        """Rewrite the file without outdated lines, once there are many."""
         if self._n_stale <= _MAX_STALE_LINES:
             return
         self._known = {path: entry for path, entry in self._known.items() if Path(path).exists()}
@@ -53,7 +54,7 @@ class StatCache:
 
     def _read(self, line: bytes) -> None:
         try:
-            path, size_bytes, mtime_ns, flight_id = json.loads(line)
+            path, size_bytes, mtime_ns, flight_id = parse_json(line)
         except (TypeError, ValueError):  # cut by a kill or a full disk
             return
         self._known[path] = (size_bytes, mtime_ns, flight_id)

@@ -1,4 +1,4 @@
-"""A wish to stop, made by a signal and kept until someone looks."""
+"""A request to stop, made by a signal."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ class StopRequest:
         self.exit_code: int | None = None
 
     def is_made(self) -> bool:
-        """Whether somebody wants a stop."""
+        """Whether a stop was requested."""
         return self.exit_code is not None
 
     def wait(self, seconds: float) -> None:
-        """Sleep, but not on after a stop."""
+        """Sleep, or until a stop is requested."""
         end = time.monotonic() + seconds
         while not self.is_made() and (left := end - time.monotonic()) > 0:
             time.sleep(min(left, _POLL_S))
 
     def _note(self, signal_number: int, _frame: FrameType | None) -> None:
-        if self.is_made():  # somebody is impatient
+        if self.is_made():  # the second signal
             sys.exit(self.exit_code)
         self.exit_code = 128 + signal_number
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """A request that the first SIGINT or SIGTERM inside the block makes; the second one ends the program."""
+    """Yield a request that the first SIGINT or SIGTERM makes; the second one ends the program."""
     request = StopRequest()
     before = [signal.signal(number, request._note) for number in _SIGNALS]
     try:

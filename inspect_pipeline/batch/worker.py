@@ -1,4 +1,4 @@
-"""What a batch gives recordings to, one at a time: a service, and the child process that offers it.
+"""The service that processes recordings for a batch, one at a time, and the child process that runs it.
 
 It loads the detector once, writes flights into the store, and never opens the index.
 """
@@ -38,7 +38,7 @@ _TRACEBACK_FRAMES = 12
 
 
 class DetectorFactory(Protocol):
-    """Makes the detector, in the worker; can be pickled."""
+    """Creates the detector in the worker; picklable."""
 
     def __call__(self) -> Detector: ...
 
@@ -73,7 +73,7 @@ class LoadDetector:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What is the same for all recordings of a batch."""
+    """What all recordings of a batch have in common."""
 
     store_root: Path
     options: ProcessOptions
@@ -82,17 +82,17 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The first message of a worker: what its detector says about itself."""
+    """The first message of a worker: the description of its detector."""
 
     description: Mapping[str, str | int | float]
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerFailure:
-    """Why there is no result of a recording.
+    """Why a recording has no result.
 
-    unreadable: refused, as it would be again; error: a fault of the program; killed: the worker died;
-    timeout: it took too long.
+    unreadable: refused, as any further attempt would be; error: an unexpected exception; killed: the worker
+    died; timeout: it took too long.
     """
 
     reason: Literal["unreadable", "error", "killed", "timeout"]
@@ -109,7 +109,7 @@ class Service:
         self._store, self._options, self._process = Store(job.store_root), job.options, process
 
     def ready(self) -> Ready:
-        """The first message."""
+        """Return the first message."""
         return Ready(self._detector.describe())
 
     def process(
@@ -127,12 +127,12 @@ class Service:
             return ProcessResult("", str(path), "skipped", None, 0, 0, 0, 0.0, reason=error.problem)
         except (EmptyResultError, RecordingError) as error:
             return WorkerFailure("unreadable", str(error))
-        except Exception:  # whatever it is, it must not take the other recordings along
+        except Exception:  # which must not end the other recordings
             return WorkerFailure("error", traceback.format_exc(limit=-_TRACEBACK_FRAMES))
 
 
 def main() -> None:
-    """Serve the parent, and die with it: the arguments are the number of the pipe's descriptor and its pid.
+    """Serve the parent, and die with it; the arguments are the descriptor of the pipe and the parent's pid.
 
     Its sys.path and a Job arrive first; a Ready is the answer, or the DetectorError that prevents it.
     Then each (path, run) is answered.
@@ -158,5 +158,5 @@ def main() -> None:
 
 def _die_with(parent_pid: int) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent_pid:  # it died before it could be told
+    if os.getppid() != parent_pid:  # it died before prctl
         os._exit(1)

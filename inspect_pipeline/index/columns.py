@@ -1,4 +1,4 @@
-"""Frames, segments, lines and tracks as the NumPy columns of which tables are made; NaN is NULL."""
+"""Frames, segments, lines and tracks as NumPy columns for DuckDB; NaN is NULL."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class FoundLines(NamedTuple):
 
 
 def frame_columns(rows: Sequence[tuple[Any, ...]], places: Sequence[FramePose]) -> Columns:
-    """rows: channel_id to n_lines in the order of the columns, None where a value is not known."""
+    """Return the columns of frames; rows: channel_id to n_lines in order, None where unknown."""
     whole = [(*row, *astuple(place)) for row, place in zip(rows, places, strict=True)]
     return {
         name: _column(values, dtype)
@@ -76,7 +76,7 @@ def _column(values: Sequence[Any], dtype: type) -> NDArray[Any]:
 
 
 def segment_columns(batches: Sequence[FoundSegments]) -> Columns:
-    """One row per segment, in order."""
+    """Return one row per segment, in order."""
     counts = [len(batch.segments) for batch in batches]
     endpoints = np.concatenate([batch.segments.endpoints for batch in batches])
     return {
@@ -91,7 +91,7 @@ def segment_columns(batches: Sequence[FoundSegments]) -> Columns:
 
 
 def line_columns(batches: Sequence[FoundLines]) -> tuple[Columns, Columns]:
-    """One row per line, and one per point of them, bound by row_idx."""
+    """Return one row per line, and one per point, related by row_idx."""
     points = list(chain.from_iterable(batch.lines.points for batch in batches))
     counts = [len(batch.lines) for batch in batches]
     n_points = [len(p) for p in points]
@@ -117,14 +117,14 @@ def line_columns(batches: Sequence[FoundLines]) -> tuple[Columns, Columns]:
 
 
 def track_columns(tracks: Sequence[tuple[int, TrackRow]]) -> Columns:
-    """One row per (channel_id, track), in order."""
+    """Return one row per (channel_id, track), in order."""
     names = ("channel_id", *(field.name for field in fields(TrackRow)))
     rows = [(channel_id, *astuple(track)) for channel_id, track in tracks]
     return {name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)}
 
 
 def _chord_columns(endpoints: Floats32) -> Columns:
-    """x1 to y2 and the angle in degrees, in [0, 180): rounding to float32 may give 180, which is 0."""
+    """Return x1 to y2 and the angle in degrees, in [0, 180): 180 after rounding to float32 becomes 0."""
     x1, y1, x2, y2 = (column.copy() for column in endpoints.T)
     angle_deg = np.degrees(np.arctan2(y2 - y1, x2 - x1)).astype(np.float32) % np.float32(180)
     angle_deg[angle_deg == 180] = 0

@@ -19,6 +19,7 @@ from pyproj import Geod
 
 from inspect_pipeline.atomic import store_errors, write_whole
 from inspect_pipeline.errors import SpansError
+from inspect_pipeline.store.records import parse_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -162,7 +163,7 @@ def _count(value: object) -> int | None:
 def _of_geojson(path: Path, text: str) -> Iterator[Span]:
     """The spans of the lines of a GeoJSON: one between each two vertices."""
     try:
-        content = json.loads(text)
+        content = parse_json(text)
         features = content["features"] if content["type"] == "FeatureCollection" else [content]
         for number, feature in enumerate(features, 1):
             yield from _of_feature(path, number, feature)

@@ -58,6 +58,7 @@ class Attitude(NamedTuple):
         `is_ned`.
     is_yaw_relative: the yaw counts from the vehicle's, not from north.
     height_m: above the origin of the world frame, None where unknown.
+    is_fallback: by a source whose heading may drift, used where there is no other.
     """
 
     rotation: Quaternion
@@ -65,12 +66,7 @@ class Attitude(NamedTuple):
     is_ned: bool = False
     is_yaw_relative: bool = False
     height_m: float | None = None
-
-
-class Height(NamedTuple):
-    """The height of the vehicle above the origin of the world frame."""
-
-    height_m: float
+    is_fallback: bool = False
 
 
 def position(latitude_deg: float, longitude_deg: float, altitude_m: float) -> Position | None:

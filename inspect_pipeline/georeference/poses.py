@@ -8,31 +8,22 @@ Messages are joined to frames by log time, which all channels share.
 
 from __future__ import annotations
 
-from array import array
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from inspect_pipeline.geometry.attitude import (
-    Attitude,
-    Height,
-    Position,
-    from_quaternions,
-    to_turns,
-    wrapped_deg,
-)
+from inspect_pipeline.geometry.attitude import Attitude, Position, from_quaternions, to_turns, wrapped_deg
+from inspect_pipeline.georeference.samples import PoseSample, PoseSamples, Rows, longest
+from inspect_pipeline.georeference.transforms import Chain, TransformTree
 from inspect_pipeline.messages.errors import MALFORMED
-from inspect_pipeline.messages.pose import parser_for
+from inspect_pipeline.messages.pose import Transform, parser_for
 from inspect_pipeline.recording.frames import iter_channel_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
-    from inspect_pipeline.arrays import Floats
     from inspect_pipeline.messages.pose import Parser
     from inspect_pipeline.recording.merge import Message
     from inspect_pipeline.recording.reader import Recording
@@ -59,28 +50,6 @@ class Pose:
     age_ms: float
     heading_deg: float | None = None
     height_m: float | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseSamples:
-    """Values over time: times_ns (N,) uint64 in order, values (N, k) float64."""
-
-    times_ns: NDArray[np.uint64] = field(default_factory=lambda: np.zeros(0, np.uint64))
-    values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-
-    def last_at(self, time_ns: int) -> PoseSample | None:
-        """The last sample that is not after `time_ns`."""
-        i = int(np.searchsorted(self.times_ns, np.uint64(time_ns), side="right")) - 1
-        if i < 0:
-            return None
-        return PoseSample(self.values[i].tolist(), (time_ns - int(self.times_ns[i])) / 1e6)
-
-
-class PoseSample(NamedTuple):
-    """The values of a moment, and how long ago it was."""
-
-    values: list[float]
-    age_ms: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,44 +105,21 @@ class PoseTrack:
 
 
 def read_poses(recording: Recording) -> PoseTrack:
-    """The poses of a recording; an empty track when it has none.
+    """Return the poses of a recording; an empty track when it has none.
 
     Messages that cannot be parsed are skipped. Raises RecordingError when chunks cannot be read of a `strict`
     recording; otherwise they are in the track's losses.
     """
     parsers = _parsers(recording)
     messages = iter_channel_messages(recording, parsers.keys())
-    kinds = _read_kinds(messages, parsers)
+    found = _read_kinds(messages, parsers)
     return PoseTrack(
-        positions=_longest(kinds["position"]),
-        vehicle=_to_turns(_longest(kinds["vehicle"])),
-        camera=_to_turns(_longest(kinds["camera"]), with_yaw_frame=True),
-        heights=_longest(kinds["height"]),
+        positions=longest(found["position"]),
+        vehicle=_to_turns(longest(found["vehicle"] or found["fallback"])),
+        camera=_to_turns(longest(found["camera"]), with_yaw_frame=True),
+        heights=longest(found["height"]),
         losses=messages.losses,
     )
-
-
-class _Rows:
-    """Values over time as they come, a few bytes each: attitudes may come a thousand times a second."""
-
-    def __init__(self) -> None:
-        self._times_ns, self._values = array("Q"), array("d")
-
-    def __len__(self) -> int:
-        return len(self._times_ns)
-
-    def append(self, time_ns: int, *values: float) -> None:
-        self._times_ns.append(time_ns)
-        self._values.extend(values)
-
-    def to_samples(self) -> PoseSamples:
-        if not self._times_ns:
-            return PoseSamples()
-        values = np.frombuffer(self._values, np.float64)
-        return PoseSamples(np.frombuffer(self._times_ns, np.uint64), values.reshape(len(self), -1))
-
-
-_RowsByChannel = dict[int, _Rows]
 
 
 def _parsers(recording: Recording) -> dict[int, Parser]:
@@ -191,29 +137,50 @@ def _parsers(recording: Recording) -> dict[int, Parser]:
     return found
 
 
-def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict[str, _RowsByChannel]:
-    kinds: dict[str, _RowsByChannel] = defaultdict(lambda: defaultdict(_Rows))
+def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict[str, list[PoseSamples]]:
+    """Return the samples of each kind, one element a channel or chain of transforms."""
+    kinds: dict[str, dict[int, Rows]] = defaultdict(lambda: defaultdict(Rows))
+    tree = TransformTree()
     for message in messages:
+        channel_id, time_ns = message.channel_id, message.log_time_ns
         try:
-            found = parsers[message.channel_id](message.data)
+            items = parsers[channel_id](message.data)
         except MALFORMED:
             continue
-        channel_id, time_ns = message.channel_id, message.log_time_ns
-        if isinstance(found, Position):
-            kinds["position"][channel_id].append(time_ns, *found)
-        elif isinstance(found, Height):
-            kinds["height"][channel_id].append(time_ns, found.height_m)
-        elif isinstance(found, Attitude):
-            kind = "camera" if found.is_camera else "vehicle"
-            kinds[kind][channel_id].append(time_ns, *found.rotation, found.is_ned, found.is_yaw_relative)
-            if found.height_m is not None:
-                kinds["height"][channel_id].append(time_ns, found.height_m)
-    return kinds
+        for item in items:
+            if isinstance(item, Transform):
+                tree.add(channel_id, time_ns, item)
+            elif isinstance(item, Position):
+                kinds["position"][channel_id].append(time_ns, *item)
+            else:
+                _add_attitude(kinds, channel_id, time_ns, item)
+    samples = defaultdict(
+        list, {kind: [rows.to_samples() for rows in channels.values()] for kind, channels in kinds.items()}
+    )
+    for chain in tree.chains():
+        _add_chain(samples, chain)
+    return samples
 
 
-def _longest(rows_by_channel: _RowsByChannel) -> PoseSamples:
-    """The samples of the channel with most of them: two receivers in turn would jump to and fro."""
-    return max(rows_by_channel.values(), key=len, default=_Rows()).to_samples()
+def _add_attitude(
+    kinds: dict[str, dict[int, Rows]], channel_id: int, time_ns: int, attitude: Attitude
+) -> None:
+    kind = "camera" if attitude.is_camera else "fallback" if attitude.is_fallback else "vehicle"
+    own = attitude.is_ned, attitude.is_yaw_relative
+    kinds[kind][channel_id].append(time_ns, *attitude.rotation, *own)
+    if attitude.height_m is not None:
+        kinds["height"][channel_id].append(time_ns, attitude.height_m)
+
+
+def _add_chain(samples: dict[str, list[PoseSamples]], chain: Chain) -> None:
+    """Add the attitude and height of a chain; a frame at the origin all the time says nothing of height."""
+    times_ns, places = chain.places.times_ns, chain.places.values
+    has_height = np.ones(len(times_ns), bool) if chain.role == "position" else places.any(axis=1)
+    samples["height"].append(PoseSamples(times_ns[has_height], places[has_height, 2:]))
+    if chain.role != "position":
+        kind = "vehicle" if chain.role == "vehicle" else "camera"
+        in_enu = np.zeros((len(times_ns), 2))  # neither NED nor relative
+        samples[kind].append(PoseSamples(times_ns, np.hstack((chain.rotations.values, in_enu))))
 
 
 def _to_turns(quaternions: PoseSamples, *, with_yaw_frame: bool = False) -> PoseSamples:

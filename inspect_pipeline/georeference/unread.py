@@ -48,7 +48,7 @@ def _reason(recording: Recording, channel: ChannelSummary) -> str | None:
     for message in islice(iter_channel_messages(recording, {channel.channel_id}), _N_MESSAGES):
         n_messages += 1
         try:
-            if parse(message.data) is not None:
+            if parse(message.data):
                 return None
         except MALFORMED:
             n_malformed += 1

@@ -1,8 +1,9 @@
-"""Messages of positions and attitudes taken apart, whatever their schema and encoding.
+"""Parse messages of positions, attitudes and transforms, whatever their schema and encoding.
 
-`parser_for` finds what reads a channel: sensor_msgs/NavSatFix in ROS 1 and 2; Foxglove's LocationFix,
-PoseInFrame and FrameTransform in protobuf, JSON, FlatBuffers and ROS 2; and PX4's positions and attitudes,
-by field name, as px4_msgs or as JSON from a ULog.
+`parser_for` finds the parser of a channel: sensor_msgs NavSatFix and Imu, geometry_msgs PoseStamped and
+PoseWithCovarianceStamped, nav_msgs Odometry, tf2_msgs TFMessage and geographic_msgs GeoPoseStamped in ROS 1
+and 2; Foxglove's LocationFix, PoseInFrame and FrameTransform in protobuf, JSON, FlatBuffers and ROS 2; and
+PX4's positions and attitudes, by field name, as px4_msgs or as JSON from a ULog.
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from __future__ import annotations
 import json
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from inspect_pipeline.geometry.attitude import Attitude, Height, Quaternion, position, unit_quaternion
+from inspect_pipeline.geometry.attitude import Attitude, Quaternion, position, unit_quaternion
 from inspect_pipeline.messages import px4
 from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
 from inspect_pipeline.messages.flatbuffer import FlatbufferTable
@@ -27,38 +28,79 @@ if TYPE_CHECKING:
     from inspect_pipeline.geometry.attitude import Position
     from inspect_pipeline.messages.cdr import SequentialReader
 
-    Parser = Callable[[memoryview], Position | Attitude | Height | None]
-    AttitudeParser = Callable[[memoryview, bool], Attitude | Height | None]
+    Found: TypeAlias = "Position | Attitude | Transform"
+    Parser = Callable[[memoryview], Sequence[Found]]
+    PositionParser = Callable[[memoryview], Position | None]
+    AttitudeParser = Callable[[memoryview, bool], Attitude | None]
+    TransformParser = Callable[[memoryview], Sequence["Transform"]]
 
-_NO_FIX = -1  # sensor_msgs/NavSatStatus
+FrameRole = Literal["vehicle", "camera", "optics", "position"]
+
+_NO_FIX = -1  # sensor_msgs/NavSatStatus; -2, of later versions, says that the status is unknown
 _CAMERA_WORDS = re.compile(r"camera|gimbal", re.IGNORECASE)
 # Frames that stand still and whose axes are east, north, up.
 _WORLDS = frozenset({"map", "odom", "world", "enu", "local", "local_enu"})
-# Frames whose axes are forward, left, up. Those of optics look along z and are left out.
-_BODIES = frozenset({"base_link", "base", "body", "vehicle", "drone", "uav"})
-_GPS = "gps"  # a frame that says where the vehicle is, and not how it is turned
-_CAMERAS = frozenset({"camera", "camera_link", "gimbal", "gimbal_link"})
+# Axes forward, left, up; those of optics are right, down, ahead; "gps" has a place and no attitude.
+_ROLES: dict[str, FrameRole] = {
+    **dict.fromkeys(("base_link", "base", "body", "vehicle", "drone", "uav"), "vehicle"),
+    **dict.fromkeys(("camera", "camera_link", "gimbal", "gimbal_link"), "camera"),
+    "gps": "position",
+}
+_OPTICS = re.compile(r"optical(_frame)?$")
+
+
+class Transform(NamedTuple):
+    """A frame in its parent; the rotation is from the frame's axes to the parent's."""
+
+    parent: str
+    child: str
+    rotation: Quaternion
+    translation_m: tuple[float, float, float]
+
+
+def is_world(frame_id: str) -> bool:
+    """Whether a frame stands still with its axes east, north, up; namespaces do not matter."""
+    return _base_name(frame_id) in _WORLDS
+
+
+def frame_role(frame_id: str) -> FrameRole | None:
+    """Return what a frame is attached to, by its name without namespaces."""
+    name = _base_name(frame_id)
+    return "optics" if _OPTICS.search(name) else _ROLES.get(name)
+
+
+def _base_name(frame_id: str) -> str:
+    return frame_id.strip("/").rsplit("/", 1)[-1].lower()
 
 
 def parser_for(topic: str, schema_name: str, schema_data: bytes, message_encoding: str) -> Parser | None:
-    """What takes the messages of a channel apart; None when they are neither positions nor attitudes.
+    """Return the parser of a channel, None when it has neither positions nor attitudes.
 
-    It returns None for a message that says nothing, such as a receiver's without a fix, and raises one of
-    `errors.MALFORMED`.
+    The parser returns nothing for a message without content, such as a receiver's without a fix, and raises
+    one of `errors.MALFORMED`.
     """
     key = (schema_name, message_encoding)
+    if key in _TRANSFORMS:
+        return _TRANSFORMS[key]
+    if key in _GEO_POSES:
+        return _GEO_POSES[key]
+    single: Callable[[memoryview], Position | Attitude | None] | None = None
     if key in _POSITIONS:
-        return _POSITIONS[key]
-    if key in _ATTITUDES:
+        single = _POSITIONS[key]
+    elif key in _ATTITUDES:
         parse, is_camera = _ATTITUDES[key], bool(_CAMERA_WORDS.search(topic))
-        return lambda payload: parse(payload, is_camera)
-    return px4.parser_for(topic, schema_name, schema_data, message_encoding)
+        single = lambda payload: parse(payload, is_camera)  # noqa: E731
+    else:
+        single = px4.parser_for(topic, schema_name, schema_data, message_encoding)
+    if single is None:
+        return None
+    return lambda payload: [found] if (found := single(payload)) else []
 
 
 def _nav_sat_fix(reader: SequentialReader) -> Position | None:
     reader.header()
     status, _ = reader.int8(), reader.uint16()
-    return position(*reader.float64s(3)) if status > _NO_FIX else None
+    return position(*reader.float64s(3)) if status != _NO_FIX else None
 
 
 def _ros2_location(payload: memoryview) -> Position | None:
@@ -102,25 +144,55 @@ def _flatbuffer_pose(payload: memoryview, is_camera: bool) -> Attitude | None:
     return _pose(table.string(1), rotation, is_camera, _flatbuffer_place(pose and pose.table(0)))
 
 
-def _ros2_pose(payload: memoryview, is_camera: bool) -> Attitude | None:
-    reader = CdrReader(payload)
+def _ros_pose(reader: SequentialReader, is_camera: bool) -> Attitude | None:
     _, frame_id = reader.header()
     place = reader.float64s(3)
     return _pose(frame_id, _ros_quaternion(reader), is_camera, place)
 
 
+def _odometry(reader: SequentialReader, is_camera: bool) -> Attitude | None:
+    _, frame_id = reader.header()
+    child = reader.string()
+    place = reader.float64s(3)
+    is_camera |= frame_role(child) == "camera"
+    return _pose(frame_id, _ros_quaternion(reader), is_camera, place)
+
+
+def _imu(reader: SequentialReader, _is_camera: bool) -> Attitude | None:
+    """The vehicle's attitude in ENU (REP 145); a covariance of -1 says that there is none."""
+    reader.header()
+    rotation, covariance = _ros_quaternion(reader), reader.float64()
+    known = unit_quaternion(*rotation) if covariance != -1 else None
+    return known and Attitude(known, is_camera=False, is_fallback=True)
+
+
+def _geo_pose(reader: SequentialReader) -> list[Found]:
+    reader.header()
+    place, known = position(*reader.float64s(3)), unit_quaternion(*_ros_quaternion(reader))
+    return [*([place] if place else []), *([Attitude(known, is_camera=False)] if known else [])]
+
+
+def _tf_message(reader: SequentialReader) -> list[Transform]:
+    found = []
+    for _ in range(reader.uint32()):
+        _, parent = reader.header()
+        child, place = reader.string(), reader.float64s(3)
+        found += _transform(parent, child, _ros_quaternion(reader), place)
+    return found
+
+
 def _pose(frame_id: str, rotation: Quaternion, is_camera: bool, place: Sequence[float]) -> Attitude | None:
-    """The attitude of whatever the topic is about, against a frame that stands still."""
-    known = unit_quaternion(*rotation) if frame_id in _WORLDS else None
+    """The attitude of whatever the topic is about, if given in a world frame."""
+    known = unit_quaternion(*rotation) if is_world(frame_id) else None
     return known and Attitude(known, is_camera, height_m=_height_m(place))
 
 
 def _height_m(place: Sequence[float]) -> float | None:
-    """How high x, y, z are; None at the origin, where those put everything that tell rotations only."""
+    """The height of x, y, z; None at the origin, where sources of rotations alone put everything."""
     return float(place[2]) if any(place) and math.isfinite(place[2]) else None
 
 
-def _protobuf_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
+def _protobuf_transform(payload: memoryview) -> list[Transform]:
     message = FrameTransform.FromString(bytes(payload))
     q = message.rotation
     t = message.translation
@@ -128,20 +200,20 @@ def _protobuf_transform(payload: memoryview, _is_camera: bool) -> Attitude | Hei
     return _transform(message.parent_frame_id, message.child_frame_id, rotation, (t.x, t.y, t.z))
 
 
-def _json_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
+def _json_transform(payload: memoryview) -> list[Transform]:
     fields: dict[str, Any] = json.loads(bytes(payload))
     rotation = _json_quaternion(fields["rotation"])
     place = _json_place(fields.get("translation", {}))
     return _transform(fields["parent_frame_id"], fields["child_frame_id"], rotation, place)
 
 
-def _flatbuffer_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
+def _flatbuffer_transform(payload: memoryview) -> list[Transform]:
     table = FlatbufferTable(payload)
     rotation, place = _flatbuffer_quaternion(table.table(4)), _flatbuffer_place(table.table(3))
     return _transform(table.string(1), table.string(2), rotation, place)
 
 
-def _ros2_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height | None:
+def _ros2_transform(payload: memoryview) -> list[Transform]:
     reader = CdrReader(payload)
     reader.time_ns()
     parent, child = reader.string(), reader.string()
@@ -149,16 +221,13 @@ def _ros2_transform(payload: memoryview, _is_camera: bool) -> Attitude | Height 
     return _transform(parent, child, _ros_quaternion(reader), place)
 
 
-def _transform(
-    parent: str, child: str, rotation: Quaternion, place: Sequence[float]
-) -> Attitude | Height | None:
-    """The attitude of a known body against a frame that stands still. Chains are not followed."""
-    if parent in _WORLDS and child == _GPS and math.isfinite(place[2]):
-        return Height(float(place[2]))
-    if parent not in _WORLDS or child not in _BODIES | _CAMERAS:
-        return None
+def _transform(parent: str, child: str, rotation: Quaternion, place: Sequence[float]) -> list[Transform]:
+    """A transform, none where the rotation or the place is no number."""
     known = unit_quaternion(*rotation)
-    return known and Attitude(known, is_camera=child in _CAMERAS, height_m=_height_m(place))
+    if known is None or not all(map(math.isfinite, place)):
+        return []
+    x, y, z = place or (0.0, 0.0, 0.0)
+    return [Transform(parent, child, known, (x, y, z))]
 
 
 def _json_quaternion(fields: dict[str, Any]) -> Quaternion:
@@ -185,22 +254,36 @@ def _ros_quaternion(reader: SequentialReader) -> Quaternion:
     return Quaternion(w, x, y, z)
 
 
-_POSITIONS: dict[tuple[str, str], Parser] = {
+def _in_ros(package: str, name: str, parse: Callable[..., Any]) -> dict[tuple[str, str], Callable[..., Any]]:
+    """The parser of a message of ROS 2 and of ROS 1, by schema name and encoding."""
+    return {
+        (f"{package}/msg/{name}", "cdr"): lambda payload, *rest: parse(CdrReader(payload), *rest),
+        (f"{package}/{name}", "ros1"): lambda payload, *rest: parse(Ros1Reader(payload), *rest),
+    }
+
+
+_POSITIONS: dict[tuple[str, str], PositionParser] = {
     ("foxglove.LocationFix", "protobuf"): _protobuf_location,
     ("foxglove.LocationFix", "json"): _json_location,
     ("foxglove.LocationFix", "flatbuffer"): _flatbuffer_location,
     ("foxglove_msgs/msg/LocationFix", "cdr"): _ros2_location,
-    ("sensor_msgs/msg/NavSatFix", "cdr"): lambda payload: _nav_sat_fix(CdrReader(payload)),
-    ("sensor_msgs/NavSatFix", "ros1"): lambda payload: _nav_sat_fix(Ros1Reader(payload)),
+    **_in_ros("sensor_msgs", "NavSatFix", _nav_sat_fix),
 }
 _ATTITUDES: dict[tuple[str, str], AttitudeParser] = {
     ("foxglove.PoseInFrame", "protobuf"): _protobuf_pose,
     ("foxglove.PoseInFrame", "json"): _json_pose,
     ("foxglove.PoseInFrame", "flatbuffer"): _flatbuffer_pose,
-    ("foxglove_msgs/msg/PoseInFrame", "cdr"): _ros2_pose,
-    ("geometry_msgs/msg/PoseStamped", "cdr"): _ros2_pose,
+    ("foxglove_msgs/msg/PoseInFrame", "cdr"): lambda payload, *rest: _ros_pose(CdrReader(payload), *rest),
+    **_in_ros("geometry_msgs", "PoseStamped", _ros_pose),
+    **_in_ros("geometry_msgs", "PoseWithCovarianceStamped", _ros_pose),
+    **_in_ros("nav_msgs", "Odometry", _odometry),
+    **_in_ros("sensor_msgs", "Imu", _imu),
+}
+_TRANSFORMS: dict[tuple[str, str], TransformParser] = {
     ("foxglove.FrameTransform", "protobuf"): _protobuf_transform,
     ("foxglove.FrameTransform", "json"): _json_transform,
     ("foxglove.FrameTransform", "flatbuffer"): _flatbuffer_transform,
     ("foxglove_msgs/msg/FrameTransform", "cdr"): _ros2_transform,
+    **_in_ros("tf2_msgs", "TFMessage", _tf_message),
 }
+_GEO_POSES: dict[tuple[str, str], Parser] = _in_ros("geographic_msgs", "GeoPoseStamped", _geo_pose)

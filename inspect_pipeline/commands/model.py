@@ -188,7 +188,7 @@ def evaluate(
     with progress_bar("eval", task.count_images()) as advance:
         reports = evaluate_all(detector, task, own if min_score is None else min_score, on_image=advance)
     for report in reports:
-        typer.echo(json.dumps(report.to_dict()) if as_json else str(report))
+        typer.echo(json.dumps(asdict(report)) if as_json else str(report))
 
 
 @app.command()

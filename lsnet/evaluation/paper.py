@@ -6,7 +6,7 @@ two. Pooled scores are computed from the counts of the whole set.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -53,10 +53,6 @@ class PaperScore:
         return (
             f"{self.folder}: {self.images} images, {self.width_px} px wide, {how}: {means} (pooled {pooled})"
         )
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain values for JSON."""
-        return asdict(self)
 
 
 def segmentation(segments: Segments, width_px: int, binarised: Binarised) -> Mask:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -54,10 +54,6 @@ class PixelReport:
             for name, s in (("ODS", self.ods), ("own", self.at_min_score))
         )
 
-    def to_dict(self) -> dict[str, object]:
-        """Return plain values for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True)
 class ShareReport:
@@ -71,10 +67,6 @@ class ShareReport:
     def __str__(self) -> str:
         shares = ", ".join(f"{share:.1%} at score {score:g}" for score, share in self.reported.items())
         return f"{self.folder}: {self.images} images, with a reported {self.use[:-1]}: {shares}"
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain values for JSON."""
-        return asdict(self)
 
 
 def evaluate(

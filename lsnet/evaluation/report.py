@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from lsnet.detector import Detector
 from lsnet.errors import LSNetError
@@ -24,17 +24,13 @@ from lsnet.weights import load_weights
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lsnet.evaluation.pixels import LineDetector, Use
+    from lsnet.evaluation.cables import CableReport
+    from lsnet.evaluation.paper import PaperScore
+    from lsnet.evaluation.pixels import LineDetector, PixelReport, ShareReport, Use
+
+    Report = PixelReport | ShareReport | PaperScore | CableReport
 
 EVALUATION_SEED = 2 * VALIDATION_SEED  # these images are never trained or validated on
-
-
-class EvaluationReport(Protocol):
-    """The scores of one set."""
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain values for JSON."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +96,9 @@ def open_line_detector(
 
 def evaluate_all(
     detector: LineDetector, task: EvalTask, min_score: float, on_image: Callable[[], None] = lambda: None
-) -> list[EvaluationReport]:
+) -> list[Report]:
     """Return the reports of the folders in order, then of the synthetic images."""
-    reports: list[EvaluationReport] = []
+    reports: list[Report] = []
     for folder in task.folders:
         reports += evaluate(detector, folder, min_score=min_score, use=task.use, on_image=on_image)
         if task.paper:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_all_found() -> None:
     assert (result.gaps_per_cable, result.false_px) == (0, 0)
     assert (result.recalled_images, result.false_images) == (1, 0)
     assert "2 cables" in str(result)
-    json.dumps(result.to_dict())
+    json.dumps(asdict(result))
 
 
 def test_nothing_found() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -64,7 +65,7 @@ def test_a_perfect_detector(tmp_path: Path) -> None:
         assert report.ods.f1 == pytest.approx(1)
         assert report.at_min_score.f1 == pytest.approx(1)
     assert "ODS F1 1.0000" in str(reports[0])
-    assert json.loads(json.dumps(reports[0].to_dict()))["ods"]["precision"] == 1
+    assert json.loads(json.dumps(asdict(reports[0])))["ods"]["precision"] == 1
 
 
 def test_ods_is_the_best_threshold_beside_the_requested_one(tmp_path: Path) -> None:
@@ -97,7 +98,7 @@ def test_images_without_truth_give_the_share_with_a_report(tmp_path: Path) -> No
     assert isinstance(report, ShareReport)
     assert report.reported == {0.2: 0.5, 0.3: 0.5, 0.5: 0.25, 0.7: 0.25, 0.9: 0.0}
     assert "50.0% at score 0.2" in str(report)
-    json.dumps(report.to_dict())
+    json.dumps(asdict(report))
     (nothing,) = evaluate(Says(lambda _image: []), tmp_path, min_score=0.0)
     assert nothing.reported[0.0] == 0
 

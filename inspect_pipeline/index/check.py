@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.derived import Inspected, load_store_rules
+from inspect_pipeline.index.publish import inspect_again, select
 from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.store.feedback import load_reviews
 
@@ -54,13 +54,11 @@ def check_flights(store: Store, flight_ids: Sequence[str], rules_path: Path | No
     """
     if rules_path is None:
         rules = load_store_rules(store)
-        tables = (
-            index.select(store, sql, [list(flight_ids)]) for sql in (_ANOMALIES, _COVERAGE, _JUDGEMENTS)
-        )
+        tables = (select(store, sql, [list(flight_ids)]) for sql in (_ANOMALIES, _COVERAGE, _JUDGEMENTS))
         found = Inspected(*tables)
     else:
         rules = load_rules(rules_path)
-        found = index.inspect_again(store, flight_ids, rules)
+        found = inspect_again(store, flight_ids, rules)
     dismissed = {one.anomaly_id for one in load_reviews(store) if one.verdict == "dismissed"}
     return [
         *_failed_anomalies(found.anomalies, dismissed, rules),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.errors import AmbiguousIdError, UnknownIdError
-from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.publish import select
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +38,7 @@ def find_flight(store: Store, beginning: str) -> str:
 
 def find_flights(store: Store, beginning: str) -> list[str]:
     """Return the flight_ids that begin so, at least one; raises UnknownIdError, StoreError."""
-    rows = index.select(store, "SELECT flight_id FROM flights WHERE starts_with(flight_id, ?)", [beginning])
+    rows = select(store, "SELECT flight_id FROM flights WHERE starts_with(flight_id, ?)", [beginning])
     if not rows or not beginning:
         raise UnknownIdError("flight", beginning, "flights list")
     return [row["flight_id"] for row in rows]
@@ -46,4 +46,4 @@ def find_flights(store: Store, beginning: str) -> list[str]:
 
 def describe_flights(store: Store, flight_ids: Sequence[str]) -> list[dict[str, Any]]:
     """Return flights (all, if none is given) as in `flight_summary`, with their tags; raises StoreError."""
-    return index.select(store, _DESCRIBE, [list(flight_ids), list(flight_ids)])
+    return select(store, _DESCRIBE, [list(flight_ids), list(flight_ids)])

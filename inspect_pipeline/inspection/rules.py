@@ -62,7 +62,7 @@ def load_rules(path: Path | None = None) -> Rules:
             own = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise RulesError(path, f"cannot be read ({error.strerror})", "check the name") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (ValueError, RecursionError) as error:  # TOML, UTF-8, very long numbers, deep nesting
             raise RulesError(path, f"is not valid TOML ({error})", "correct it") from error
         _replace(values, own, path, ())
         _check_kinds(Rules(**values), path)

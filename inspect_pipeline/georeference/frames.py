@@ -1,4 +1,4 @@
-"""Where each frame of a recording was taken, where it looks, and how finely it shows the ground.
+"""Georeference frames: where each was taken, where it looks, and its ground sampling distance.
 
 placer = Georeferencer.of(recording, cameras, options)
 place = placer.place(frame)     # the columns of a row of `frames`
@@ -86,7 +86,7 @@ class Georeferencer:
         return cls(read_poses(recording), read_lenses(recording, cameras), options, terrain)
 
     def place(self, frame: Frame) -> FramePose:
-        """The place of a frame by the last pose known at its log time."""
+        """Georeference a frame by the last pose known at its log time."""
         pose, lens = self.poses.at(frame.log_time_ns), self._lens(frame)
         focal_px = lens.focal_px[0] if lens else None
         if pose is None:
@@ -154,7 +154,7 @@ class Georeferencer:
     def _sight(
         self, pose: Pose, turns: YawPitchRoll, height_m: float | None, lens: Intrinsics | None
     ) -> _Sight | None:
-        """None where the ground is not known, not below, or not in sight."""
+        """Intersect the optical axis with the ground; None where that is unknown, above or out of sight."""
         if pose.latitude_deg is None or pose.longitude_deg is None or height_m is None or height_m <= 0:
             return None
         lens = lens or lens_of_view((2, 2), 90.0)  # any: the middle of the image is the optical axis
@@ -175,7 +175,7 @@ def _rise_m(terrain: Elevation, begin: tuple[float, float], lat_deg: ArrayLike, 
 
 
 def _camera_turns(pose: Pose) -> tuple[YawPitchRoll, str]:
-    """How the camera is turned, and by what that is known."""
+    """Return the camera's turns and the source of them."""
     if pose.yaw_deg is None or pose.pitch_deg is None or pose.roll_deg is None:
         return YawPitchRoll(0.0, _STRAIGHT_DOWN_DEG, 0.0), "nadir"
     turns = YawPitchRoll(pose.yaw_deg, pose.pitch_deg, pose.roll_deg)

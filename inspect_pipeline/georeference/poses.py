@@ -1,7 +1,7 @@
-"""Where the camera was and how it was turned, at any time of a recording.
+"""Positions and attitudes of a recording at any time.
 
     track = read_poses(recording)
-    pose = track.at(frame.log_time_ns)      # the last known one, and how old it is
+    pose = track.at(frame.log_time_ns)      # the last known one, with its age
 
 Messages are joined to frames by log time, which all channels share.
 """
@@ -68,7 +68,7 @@ class PoseTrack:
     losses: tuple[str, ...] = ()
 
     def at(self, time_ns: int) -> Pose | None:
-        """The pose at a log time; None before the first message, and without any."""
+        """Return the pose at a log time; None before the first message."""
         position = self.positions.last_at(time_ns)
         attitude, attitude_of = self._attitude_at(time_ns)
         vehicle, height = self.vehicle.last_at(time_ns), self.heights.last_at(time_ns)
@@ -91,7 +91,7 @@ class PoseTrack:
         )
 
     def _attitude_at(self, time_ns: int) -> tuple[PoseSample | None, Literal["camera", "vehicle"] | None]:
-        """The attitude of the camera against north, else that of the vehicle."""
+        """Return the attitude of the camera relative to north, else that of the vehicle."""
         vehicle, camera = self.vehicle.last_at(time_ns), self.camera.last_at(time_ns)
         if camera:
             yaw_deg, pitch_deg, roll_deg, is_yaw_relative = camera.values
@@ -123,7 +123,7 @@ def read_poses(recording: Recording) -> PoseTrack:
 
 
 def _parsers(recording: Recording) -> dict[int, Parser]:
-    """What reads each channel of positions or attitudes, by channel id."""
+    """Return the parser of each channel of positions or attitudes, by channel id."""
     found = {}
     for channel in recording.channels:
         parser = parser_for(

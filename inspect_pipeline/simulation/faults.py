@@ -1,4 +1,4 @@
-"""Faults planted into a simulated flight: what each does to the line, or when it strikes the frames."""
+"""Plant faults into a simulated flight: into its line, or into its frames and messages at some times."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _QUIET_SHARE = 0.12  # of the flight, at its start and end, has no fault
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantedFault:
-    """A fault of the line. `evidence` (M, 3) are the points at which it can be seen, there or missing."""
+    """A fault of the line; `evidence` (M, 3) are the points where it shows, whether present or missing."""
 
     kind: FaultKind
     span: int
@@ -52,7 +52,7 @@ class TimedFault(NamedTuple):
 def plant_faults(
     line: PowerLine, kinds: Sequence[FaultKind], seen_shares: Floats, rng: np.random.Generator
 ) -> tuple[PowerLine, list[PlantedFault]]:
-    """The line with the faults of it among `kinds`, in the spans that are seen best.
+    """Plant the line faults among `kinds` into the spans that are seen best.
 
     seen_shares (n_spans,): how much of each span the flight shows.
     """
@@ -96,7 +96,7 @@ def _plant(
 
 
 def _absent_stretch(kind: FaultKind, rng: np.random.Generator) -> tuple[float, float]:
-    """Which share of the span a conductor lacks: all of it, from a break to the next structure, or a gap."""
+    """Return the missing part of a conductor as shares of the span: all, the end, or a gap."""
     if kind == FaultKind.MISSING_CONDUCTOR:
         return 0.0, 1.0
     start = rng.uniform(*_MIDDLE_SHARE)
@@ -108,7 +108,7 @@ def _absent_stretch(kind: FaultKind, rng: np.random.Generator) -> tuple[float, f
 def schedule_faults(
     kinds: Sequence[FaultKind], seconds: float, fps: float, rng: np.random.Generator
 ) -> list[TimedFault]:
-    """When the faults of frames and messages among `kinds` strike, one after the other."""
+    """Schedule the faults of frames and messages among `kinds`, one after the other."""
     struck = [kind for kind in kinds if kind in FRAME_FAULTS]
     if not struck:
         return []

@@ -1,4 +1,4 @@
-"""What a simulated flight is like: how long, which way it is flown, what is wrong with it."""
+"""Options of a simulated flight."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ class FlightKind(StrEnum):
 
 
 class SchemaKind(StrEnum):
-    """What the messages of the recording are: protobuf as Foxglove has them, or those of ROS 2."""
+    """Schemas of the recording: Foxglove in protobuf, or ROS 2."""
 
     FOXGLOVE = "foxglove"
     ROS2 = "ros2"
 
 
 class RenderKind(StrEnum):
-    """How conductors come into the pictures: drawn, or traced by Mitsuba (extra `synth`)."""
+    """How conductors are rendered: drawn, or ray-traced by Mitsuba (extra `synth`)."""
 
     DRAWN = "drawn"
     PBR = "pbr"
 
 
 class FaultKind(StrEnum):
-    """What can be wrong with the line, then with the pictures and the messages."""
+    """Faults to plant: of the line first, then of frames and messages."""
 
     MISSING_CONDUCTOR = "missing_conductor"
     BROKEN_CONDUCTOR = "broken_conductor"
@@ -57,11 +57,22 @@ FRAME_FAULTS = tuple(FaultKind)[6:]
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """How long, how often, how large (height, width), which landscape, which flight, which faults.
+    """Options of a simulated flight.
 
-    n_structures: of a line that ends, the first one behind the start; None for one longer than the flight.
-    n_phases conductors, n_bundle wires each, hang beside each other, and a neutral one below them.
-    faults: each is planted once; what is named twice, twice. ground: a photograph of it, else it is drawn.
+    Attributes:
+        seconds: length of the flight.
+        fps: images per second.
+        image_size: (height, width).
+        seed: decides the landscape, the direction of the line and the sway of the drone.
+        flight: how the drone flies.
+        n_structures: of a line that ends; the first stands behind the start. None for a line longer than the
+            flight.
+        n_phases: conductors beside each other; a neutral hangs below them.
+        n_bundle: wires of each phase.
+        faults: planted once for each time they are named.
+        schema: of the messages.
+        ground: a photograph from above to use as the ground; None draws it.
+        render: how conductors are rendered.
     """
 
     seconds: float = 20.0

@@ -1,4 +1,4 @@
-"""How the simulated drone flies and where its camera looks, at any time, by the kind of flight."""
+"""The pose of the simulated drone and its camera at any time, by the kind of flight."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LOSS_RAD, _LOSS_SHARE, _LOSS_TURN_S = np.deg2rad(-75), (0.4, 0.6), 1.0
 
 @dataclass(frozen=True, slots=True)
 class DronePose:
-    """Where the drone is, in m, and where its camera looks; yaw and heading are turned left from x."""
+    """The drone's position in m and its camera's direction; yaw and heading are turned left from x."""
 
     position: tuple[float, float, float]
     heading_rad: float
@@ -77,7 +77,7 @@ class Path:
         return DronePose((x, y, z), inwards, inwards, float(np.arctan2(above_m, radius_m)))
 
     def _share_lost(self, t: float) -> float:
-        """How far the camera is turned away: 0 at first, 1 for a part of the flight, 0 again."""
+        """Return how far the camera is turned away: 0 at first, 1 for a part of the flight, then 0 again."""
         leaves, returns = (share * self.seconds for share in _LOSS_SHARE)
         away, back = ((t - at) / _LOSS_TURN_S for at in (leaves, returns))
         return float(np.clip(away, 0, 1) - np.clip(back, 0, 1))

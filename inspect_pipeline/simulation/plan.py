@@ -1,4 +1,4 @@
-"""A simulated flight before it is flown: its line with faults, its path, and what strikes its frames when."""
+"""Plan a simulated flight: the line with its faults, the path, and the faults of frames over time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _USUAL_HALF_M = 1.6
 
 
 class Shot(NamedTuple):
-    """A moment at which the camera takes, or should take, a picture."""
+    """A moment at which the camera takes a picture, or drops it."""
 
     number: int
     time_ns: int  # since the start
@@ -43,7 +43,7 @@ class Shot(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightPlan:
-    """Everything that is decided before a flight; `path` and `line` are in metres, see `simulate_line`.
+    """A planned flight; `path` and `line` are in metres, in the axes of `power_line`.
 
     axis: (N, 3) points every few centimetres along the mean of the conductors without faults.
     azimuth_deg: which way, clockwise from north, x points.
@@ -64,23 +64,23 @@ class FlightPlan:
             yield Shot(i, time_ns, self.struck_by(FaultKind.DROPOUT, time_ns) is not None)
 
     def struck_by(self, kind: FaultKind, time_ns: int) -> TimedFault | None:
-        """The fault of a kind that lasts at a time."""
+        """Return the fault of a kind that is active at a time."""
         return next((f for f in self.timed if f.kind == kind and f.start_s <= time_ns / 1e9 < f.end_s), None)
 
     def sum_since(self, kind: FaultKind, time_ns: int) -> float:
-        """What the faults of a kind that lasts to the end amount to at a time."""
+        """Sum the amounts of the faults of a kind that have started; these last to the end of the flight."""
         return sum(f.amount for f in self.timed if f.kind == kind and f.start_s <= time_ns / 1e9)
 
     def stamp_ns(self, time_ns: int) -> int:
-        """What the camera's clock says at a time."""
+        """Return the header stamp of the camera's clock at a time."""
         return START_NS + time_ns + round(self.sum_since(FaultKind.CLOCK_STEP, time_ns) * 1e9)
 
     def pose(self, time_ns: int) -> DronePose:
-        """Where the drone is and looks."""
+        """Return the pose of the drone and its camera at a time."""
         return self.path.at(time_ns / 1e9)
 
     def camera(self, time_ns: int) -> SimulatedCamera:
-        """The camera; one that slipped in its mount is rolled, which the pose does not say."""
+        """Return the camera at a time, rolled where it slipped in its mount (the pose is not)."""
         pose = self.pose(time_ns)
         roll_rad = self.sum_since(FaultKind.ORIENTATION_JUMP, time_ns)
         return look(
@@ -91,7 +91,7 @@ class FlightPlan:
         )
 
     def position_times_ns(self) -> list[int]:
-        """When positions are recorded, until the last picture."""
+        """Return when positions are recorded, up to the last picture."""
         *_, last = self.shots()
         times_ns = range(0, last.time_ns + 1, POSE_PERIOD_NS)
         return [time_ns for time_ns in times_ns if not self.struck_by(FaultKind.GPS_GAP, time_ns)]
@@ -118,7 +118,7 @@ class FlightPlan:
 
 
 def plan_flight(options: SimulationOptions) -> FlightPlan:
-    """Decide everything about a flight by its options. Raises ValueError for a line that cannot be."""
+    """Plan a flight by its options. Raises ValueError for an impossible line."""
     rng = np.random.default_rng([options.seed, 1])
     n_structures = options.n_structures or _n_passed(options)
     line = hang_line(_FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle)
@@ -147,7 +147,7 @@ def _axis(line: PowerLine) -> Floats:
 
 
 def _seen_shares(plan: FlightPlan) -> Floats:
-    """How much of each span's axis any picture shows."""
+    """Return the share of each span's axis that any picture shows."""
     is_seen = np.zeros(len(plan.axis), bool)
     for shot in plan.shots():
         if not shot.is_dropped:

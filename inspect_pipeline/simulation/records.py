@@ -1,6 +1,6 @@
-"""The truth of a simulated flight: what was where, and what of it each frame shows.
+"""The records of a simulated flight's truth: structures, conductors, faults, and what each frame shows.
 
-Made by `simulate_truth.simulate_truth(options)` without drawing; `simulate.simulate_flight` draws the same.
+`truth.simulate_truth(options)` computes them without drawing; `write.simulate_flight` draws the same flight.
 """
 
 from __future__ import annotations
@@ -71,12 +71,11 @@ class SpanViewTruth:
 class FrameTruth:
     """A frame, or one that was dropped (`frame_idx` None: the recording does not have it).
 
-    The pose is the last one recorded, and pose_age_ms that of its position, None before the first: the
-    position goes stale in a gap, and the angles do not tell of a camera that slipped in its mount. alt_m is
-    ellipsoidal, height_m above the ground. heading_deg is that of the vehicle. Camera angles are those of the
-    world: yaw clockwise from north, pitch positive upwards, roll positive to the right. image_size is
-    (height, width).
-    lines, views: what the picture truly shows.
+    The pose is the last one recorded: its position is old during a gap, and its angles do not contain the
+    slip of a camera in its mount. pose_age_ms: of the position, None before the first. alt_m: ellipsoidal.
+    height_m: above the ground. heading_deg: of the vehicle. Camera angles: yaw clockwise from north, pitch
+    positive upwards, roll positive to the right. image_size: (height, width). lines, views: what the picture
+    truly shows.
     """
 
     frame_idx: int | None
@@ -101,13 +100,13 @@ class FrameTruth:
 
     @property
     def dropped(self) -> bool:
-        """Whether the recording lacks it."""
+        """Whether the frame is missing in the recording."""
         return self.frame_idx is None
 
 
 @dataclass(frozen=True, slots=True)
 class SeenInterval:
-    """Frames in a row that show some of a span: log times of the first and of the last of them."""
+    """A run of frames that show some of a span: log times of the first and the last."""
 
     span_id: str
     start_ns: int
@@ -133,7 +132,7 @@ class FaultTruth:
 
 @dataclass(frozen=True, slots=True)
 class FlightTruth:
-    """Everything that is true of a flight. span_coverage: share of each span's axis in any good frame."""
+    """The truth of a flight. span_coverage: the share of each span's axis that any good frame shows."""
 
     options: SimulationOptions
     frames: tuple[FrameTruth, ...]

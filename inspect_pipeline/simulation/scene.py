@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 _NEAREST_M = 1.0
-_FARTHEST_M = 70.0  # along the line: beyond it nothing is told apart
+_FARTHEST_M = 70.0  # along the line: objects beyond it are too small to matter
 
 
 class Tree(NamedTuple):
@@ -81,7 +81,7 @@ def look(position: Floats, gaze: Gaze, focal_px: float, size: tuple[int, int]) -
 
 
 def near(camera: SimulatedCamera, points: Floats) -> slice:
-    """Which of (N, 3) points in the order of x are near enough to be told apart."""
+    """Return which of (N, 3) points, ordered by x, are near enough to be seen."""
     x = camera.position[0]
     first, last = np.searchsorted(points[:, 0], (x - _FARTHEST_M, x + _FARTHEST_M)).tolist()
     return slice(first, last)
@@ -90,7 +90,7 @@ def near(camera: SimulatedCamera, points: Floats) -> slice:
 class VisiblePart(NamedTuple):
     """A part of a conductor inside the image: its points' numbers [first, last), pixels (N, 2), widths (N,).
 
-    The pixels begin and end at the image's border where the conductor goes on beyond it.
+    Where the conductor continues outside the image, the pixels begin or end at the border.
     """
 
     first: int
@@ -100,7 +100,7 @@ class VisiblePart(NamedTuple):
 
 
 def visible_parts(camera: SimulatedCamera, conductor: Conductor) -> list[VisiblePart]:
-    """What the camera sees of a conductor that is there."""
+    """Return the parts of a conductor inside the image, without those that are missing."""
     window = near(camera, conductor.points)
     offset = window.start
     is_there = conductor.is_there[window]
@@ -121,7 +121,7 @@ def visible_parts(camera: SimulatedCamera, conductor: Conductor) -> list[Visible
 
 
 def _at_border(inside: Floats, outside: Floats, image_size: tuple[int, int]) -> Floats:
-    """Where the way from a point in the image to one beyond it leaves the image."""
+    """Return where the line from a point inside the image to one outside crosses the border."""
     step = outside - inside
     border = np.where(step > 0, image_size[::-1], 0.0)
     shares = np.divide(border - inside, step, out=np.full(2, np.inf), where=step != 0)

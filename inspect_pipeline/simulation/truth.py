@@ -1,9 +1,9 @@
-"""The truth of a simulated flight, without drawing it.
+"""Compute the truth of a simulated flight, without drawing it.
 
     truth = simulate_truth(SimulationOptions(seconds=60, faults=(FaultKind.MISSING_CONDUCTOR,)))
 
-It comes from points sampled along the conductors and projected by the simulator's own camera, and shares
-nothing with `geo`, `tracks`, `coverage` and `anomalies`, which are measured against it.
+Points are sampled along the conductors and projected by the simulator's own camera. The code shares nothing
+with the packages geometry, georeference, tracking and inspection, which are measured against it.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ _MEASURES: dict[Quality, tuple[float, float]] = {  # sharpness, mean_luma of dra
 
 
 def simulate_truth(options: SimulationOptions) -> FlightTruth:
-    """What is true of the flight that these options describe. Raises ValueError for a line that cannot be."""
+    """Return the truth of the flight that options describe. Raises ValueError for an impossible line."""
     return truth_of(plan_flight(options))
 
 
 def truth_of(plan: FlightPlan) -> FlightTruth:
-    """What is true of a planned flight."""
+    """Return the truth of a planned flight."""
     frames: list[FrameTruth] = []
     shown, n_recorded = [], 0
     is_seen = np.zeros(len(plan.axis), bool)
@@ -130,7 +130,7 @@ def _quality(plan: FlightPlan, shot: Shot) -> Quality:
 
 
 def to_geodetic(plan: FlightPlan, point: Floats) -> tuple[float, float, float]:
-    """Latitude, longitude and ellipsoidal altitude of x, y, z in m."""
+    """Return latitude, longitude and ellipsoidal altitude of x, y, z in m."""
     along, left, up = point.tolist()
     lat_deg, lon_deg = _ORIGIN_DEG
     azimuth_deg = plan.azimuth_deg - np.rad2deg(np.arctan2(left, along))
@@ -139,14 +139,14 @@ def to_geodetic(plan: FlightPlan, point: Floats) -> tuple[float, float, float]:
 
 
 def to_east_north(plan: FlightPlan, x: float, y: float) -> tuple[float, float]:
-    """Metres east and north of the origin."""
+    """Return the metres east and north of the origin."""
     azimuth_rad = np.deg2rad(plan.azimuth_deg)
     sine, cosine = float(np.sin(azimuth_rad)), float(np.cos(azimuth_rad))
     return x * sine - y * cosine, x * cosine + y * sine
 
 
 def compass_deg(plan: FlightPlan, yaw_rad: float) -> float:
-    """Clockwise from north, within -180 <= angle < 180, of an angle turned left from x."""
+    """Turn an angle to the left of x into one clockwise from north, within -180 <= angle < 180."""
     return float((plan.azimuth_deg - np.rad2deg(yaw_rad) + 180) % 360 - 180)
 
 
@@ -233,7 +233,7 @@ def _shows(frame: FrameTruth, span_id: str) -> bool:
 
 
 def _line_faults(plan: FlightPlan, frames: Sequence[FrameTruth], shown: Ints) -> list[FaultTruth]:
-    """The faults that recorded frames show. shown (n_frames, n_faults): how many points of the evidence."""
+    """Return the faults that recorded frames show; shown (n_frames, n_faults) counts points of evidence."""
     recorded = [i for i, frame in enumerate(frames) if not frame.dropped]
     faults = []
     for number, fault in enumerate(plan.planted):
@@ -269,7 +269,7 @@ def _timed_faults(plan: FlightPlan, frames: Sequence[FrameTruth]) -> list[FaultT
 
 
 def _around(times_ns: Sequence[int], start_ns: int, end_ns: int) -> tuple[int, int] | None:
-    """The last time before an interval and the first one after it; None when either is missing."""
+    """Return the last time before an interval and the first after it; None when either is missing."""
     before = [time_ns for time_ns in times_ns if time_ns < start_ns]
     after = [time_ns for time_ns in times_ns if time_ns >= end_ns]
     return (before[-1], after[0]) if before and after else None

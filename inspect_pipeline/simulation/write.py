@@ -1,7 +1,7 @@
-"""Recordings of flights that never were: a drawn line over a drawn landscape, and where its conductors are.
+"""Write recordings of simulated flights along a drawn power line.
 
-Images, positions, attitudes and the camera's calibration go into the recording; the truth of `simulate_truth`
-into a JSON file beside it. The same options give the same pictures.
+Images, positions, attitudes and calibrations go into the recording, the truth into a JSON file beside it. The
+same options give the same pictures.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def _make_ground(rng: np.random.Generator, photograph: Path | None) -> ImageArra
 
 
 def _to_json(truth: FlightTruth) -> dict[str, Any]:
-    """The truth as JSON has it, pixels to a hundredth."""
+    """Return the truth as JSON values, pixels rounded to a hundredth."""
 
     def plain(value: object) -> object:
         if isinstance(value, Path):

@@ -65,12 +65,19 @@ def _decode_jpeg(data: memoryview) -> Pixels:
     if "Premature end of JPEG file" in problem:
         return _decode_without_end(data)
     if "Corrupt JPEG data" in problem and "premature end" not in problem:
-        return Pixels(
-            simplejpeg.decode_jpeg(data, "RGB", strict=False), doubt=f"the image is damaged: {problem}"
-        )
+        return _decode_damaged(data, problem)
     if "premature end" in problem:
         raise ImageError("the image is cut off")
     return _decode_with_pillow(data)  # of colours that simplejpeg does not convert, such as CMYK
+
+
+def _decode_damaged(data: memoryview, problem: str) -> Pixels:
+    """Decode a JPEG that has a damaged part, as far as the decoder gets over it."""
+    try:
+        pixels = simplejpeg.decode_jpeg(data, "RGB", strict=False)
+    except Exception as error:  # some damage ends decoding even then
+        raise ImageError("the image cannot be decoded") from error
+    return Pixels(pixels, doubt=f"the image is damaged: {problem}")
 
 
 def _decode_without_end(data: memoryview) -> Pixels:

@@ -419,3 +419,11 @@ def test_compressed_depth_is_no_camera(depth: str) -> None:
 
 def test_pictures_on_a_depth_topic_are_a_camera() -> None:
     assert refusal(message(encoded_picture(1), "bgr8; png compressed "), "/depth/image/compressed") is None
+
+
+@pytest.mark.parametrize("marker", [b"\xff\xc0", b"\xff\xc4", b"\xff\xda", b"\xff\xdb"])
+def test_a_jpeg_with_a_damaged_marker_is_a_bad_frame(marker: bytes) -> None:
+    """The decoder skips the segment, and then fails for want of it."""
+    damaged = encoded_picture(5, ".jpg").replace(marker, b"\x7f" + marker[1:], 1)
+    with pytest.raises(ImageError):
+        decode(message(damaged))

@@ -7,7 +7,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from inspect_pipeline.messages.errors import MALFORMED
-from inspect_pipeline.messages.pose import parser_for
+from inspect_pipeline.messages.pose import is_setpoint, parser_for
 from inspect_pipeline.recording.frames import iter_channel_messages
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ def _reason(recording: Recording, channel: ChannelSummary) -> str | None:
     if parse is None:
         name = re.split(r"[/.:]", channel.schema_name)[-1]
         is_alike = _ALIKE.search(name) and not _OTHERS.search(name)
+        if is_alike and is_setpoint(channel.topic):
+            return "by its topic it is not where the vehicle is"
         return f"{channel.schema_name} in {channel.message_encoding} is not read" if is_alike else None
     n_malformed = n_messages = 0
     for message in islice(iter_channel_messages(recording, {channel.channel_id}), _N_MESSAGES):

@@ -11,6 +11,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from inspect_pipeline.geometry.camera import Intrinsics
 from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
 from inspect_pipeline.messages.flatbuffer import FlatbufferTable
+from inspect_pipeline.messages.names import type_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,7 +26,7 @@ def parser_for(schema_name: str, message_encoding: str) -> Parser | None:
 
     The parser returns None for a camera that is not calibrated, and raises one of `errors.MALFORMED`.
     """
-    return _PARSERS.get((schema_name, message_encoding))
+    return _PARSERS.get((type_name(schema_name), message_encoding))
 
 
 def _intrinsics(
@@ -71,10 +72,10 @@ def _flatbuffer(payload: memoryview) -> Intrinsics | None:
 
 
 _PARSERS: dict[tuple[str, str], Parser] = {
-    ("foxglove.CameraCalibration", "protobuf"): _protobuf,
-    ("foxglove.CameraCalibration", "json"): _json,
-    ("foxglove.CameraCalibration", "flatbuffer"): _flatbuffer,
-    ("foxglove_msgs/msg/CameraCalibration", "cdr"): _ros2_calibration,
-    ("sensor_msgs/msg/CameraInfo", "cdr"): lambda payload: _camera_info(CdrReader(payload)),
+    ("foxglove/CameraCalibration", "protobuf"): _protobuf,
+    ("foxglove/CameraCalibration", "json"): _json,
+    ("foxglove/CameraCalibration", "flatbuffer"): _flatbuffer,
+    ("foxglove/CameraCalibration", "cdr"): _ros2_calibration,
+    ("sensor_msgs/CameraInfo", "cdr"): lambda payload: _camera_info(CdrReader(payload)),
     ("sensor_msgs/CameraInfo", "ros1"): lambda payload: _camera_info(Ros1Reader(payload)),
 }

@@ -3,7 +3,7 @@
 `parser_for` finds the parser of a channel: sensor_msgs NavSatFix and Imu, geometry_msgs PoseStamped and
 PoseWithCovarianceStamped, nav_msgs Odometry, tf2_msgs TFMessage and geographic_msgs GeoPoseStamped in ROS 1
 and 2; Foxglove's LocationFix, PoseInFrame and FrameTransform in protobuf, JSON, FlatBuffers and ROS 2; and
-PX4's positions and attitudes, by field name, as px4_msgs or as JSON from a ULog.
+messages of PX4 and MAVLink by field name.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from inspect_pipeline.geometry.attitude import Attitude, Quaternion, position, unit_quaternion
-from inspect_pipeline.messages import px4
+from inspect_pipeline.messages import mavlink, px4
 from inspect_pipeline.messages.cdr import CdrReader, Ros1Reader
 from inspect_pipeline.messages.flatbuffer import FlatbufferTable
+from inspect_pipeline.messages.names import type_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 FrameRole = Literal["vehicle", "camera", "optics", "position"]
 
 _NO_FIX = -1  # sensor_msgs/NavSatStatus; -2, of later versions, says that the status is unknown
+_OTHER_PLACES = re.compile(r"set_?point|(^|/)(target|goal|home|gp_origin)", re.IGNORECASE)
 _CAMERA_WORDS = re.compile(r"camera|gimbal", re.IGNORECASE)
 # Frames that stand still and whose axes are east, north, up.
 _WORLDS = frozenset({"map", "odom", "world", "enu", "local", "local_enu"})
@@ -73,13 +75,20 @@ def _base_name(frame_id: str) -> str:
     return frame_id.strip("/").rsplit("/", 1)[-1].lower()
 
 
+def is_setpoint(topic: str) -> bool:
+    """Whether a topic says where the vehicle should be, or counts from, instead of where it is."""
+    return bool(_OTHER_PLACES.search(topic))
+
+
 def parser_for(topic: str, schema_name: str, schema_data: bytes, message_encoding: str) -> Parser | None:
     """Return the parser of a channel, None when it has neither positions nor attitudes.
 
     The parser returns nothing for a message without content, such as a receiver's without a fix, and raises
     one of `errors.MALFORMED`.
     """
-    key = (schema_name, message_encoding)
+    if is_setpoint(topic):
+        return None
+    key = (type_name(schema_name), message_encoding)
     if key in _TRANSFORMS:
         return _TRANSFORMS[key]
     if key in _GEO_POSES:
@@ -92,6 +101,7 @@ def parser_for(topic: str, schema_name: str, schema_data: bytes, message_encodin
         single = lambda payload: parse(payload, is_camera)  # noqa: E731
     else:
         single = px4.parser_for(topic, schema_name, schema_data, message_encoding)
+        single = single or mavlink.parser_for(topic, schema_name, message_encoding)
     if single is None:
         return None
     return lambda payload: [found] if (found := single(payload)) else []
@@ -257,33 +267,33 @@ def _ros_quaternion(reader: SequentialReader) -> Quaternion:
 def _in_ros(package: str, name: str, parse: Callable[..., Any]) -> dict[tuple[str, str], Callable[..., Any]]:
     """The parser of a message of ROS 2 and of ROS 1, by schema name and encoding."""
     return {
-        (f"{package}/msg/{name}", "cdr"): lambda payload, *rest: parse(CdrReader(payload), *rest),
+        (f"{package}/{name}", "cdr"): lambda payload, *rest: parse(CdrReader(payload), *rest),
         (f"{package}/{name}", "ros1"): lambda payload, *rest: parse(Ros1Reader(payload), *rest),
     }
 
 
 _POSITIONS: dict[tuple[str, str], PositionParser] = {
-    ("foxglove.LocationFix", "protobuf"): _protobuf_location,
-    ("foxglove.LocationFix", "json"): _json_location,
-    ("foxglove.LocationFix", "flatbuffer"): _flatbuffer_location,
-    ("foxglove_msgs/msg/LocationFix", "cdr"): _ros2_location,
+    ("foxglove/LocationFix", "protobuf"): _protobuf_location,
+    ("foxglove/LocationFix", "json"): _json_location,
+    ("foxglove/LocationFix", "flatbuffer"): _flatbuffer_location,
+    ("foxglove/LocationFix", "cdr"): _ros2_location,
     **_in_ros("sensor_msgs", "NavSatFix", _nav_sat_fix),
 }
 _ATTITUDES: dict[tuple[str, str], AttitudeParser] = {
-    ("foxglove.PoseInFrame", "protobuf"): _protobuf_pose,
-    ("foxglove.PoseInFrame", "json"): _json_pose,
-    ("foxglove.PoseInFrame", "flatbuffer"): _flatbuffer_pose,
-    ("foxglove_msgs/msg/PoseInFrame", "cdr"): lambda payload, *rest: _ros_pose(CdrReader(payload), *rest),
+    ("foxglove/PoseInFrame", "protobuf"): _protobuf_pose,
+    ("foxglove/PoseInFrame", "json"): _json_pose,
+    ("foxglove/PoseInFrame", "flatbuffer"): _flatbuffer_pose,
+    ("foxglove/PoseInFrame", "cdr"): lambda payload, *rest: _ros_pose(CdrReader(payload), *rest),
     **_in_ros("geometry_msgs", "PoseStamped", _ros_pose),
     **_in_ros("geometry_msgs", "PoseWithCovarianceStamped", _ros_pose),
     **_in_ros("nav_msgs", "Odometry", _odometry),
     **_in_ros("sensor_msgs", "Imu", _imu),
 }
 _TRANSFORMS: dict[tuple[str, str], TransformParser] = {
-    ("foxglove.FrameTransform", "protobuf"): _protobuf_transform,
-    ("foxglove.FrameTransform", "json"): _json_transform,
-    ("foxglove.FrameTransform", "flatbuffer"): _flatbuffer_transform,
-    ("foxglove_msgs/msg/FrameTransform", "cdr"): _ros2_transform,
+    ("foxglove/FrameTransform", "protobuf"): _protobuf_transform,
+    ("foxglove/FrameTransform", "json"): _json_transform,
+    ("foxglove/FrameTransform", "flatbuffer"): _flatbuffer_transform,
+    ("foxglove/FrameTransform", "cdr"): _ros2_transform,
     **_in_ros("tf2_msgs", "TFMessage", _tf_message),
 }
 _GEO_POSES: dict[tuple[str, str], Parser] = _in_ros("geographic_msgs", "GeoPoseStamped", _geo_pose)

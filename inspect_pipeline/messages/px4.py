@@ -1,7 +1,7 @@
-"""PX4's messages of positions and attitudes, from a ULog turned into JSON or from px4_msgs in ROS 2.
+"""Positions and attitudes in messages of PX4: a ULog converted to JSON or protobuf, or px4_msgs in ROS 2.
 
-Their fields changed names and units over the releases, so they are found by name: lat in 1e-7 degrees
-became latitude_deg, alt in mm became altitude_msl_m (PX4 1.14).
+Fields changed names and units over the releases, so they are read by name: lat in 1e-7 degrees became
+latitude_deg, alt in mm became altitude_msl_m (PX4 1.14). Field numbers of protobuf differ between converters.
 """
 
 from __future__ import annotations
@@ -12,6 +12,10 @@ import re
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from google.protobuf import descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import DecodeError, Message
+
 from inspect_pipeline.geometry.attitude import Attitude, position, unit_quaternion
 from inspect_pipeline.messages.cdr import CdrReader
 
@@ -21,6 +25,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.geometry.attitude import Position, Quaternion
 
     Fields = Mapping[str, Any]
+    Decoder = Callable[[memoryview], Fields]
 
 _LEAST_FIX = 2  # fix_type: 2 is a position, 3 has the altitude too
 _YAW_LOCK, _YAW_IN_EARTH_FRAME = 16, 64  # of device_flags
@@ -45,17 +50,49 @@ _FIELD = re.compile(r"(\w+)(?:\[(\d+)\])?\s+(\w+)\s*(?:#.*)?")
 def parser_for(
     topic: str, schema_name: str, schema_data: bytes, message_encoding: str
 ) -> Callable[[memoryview], Position | Attitude | None] | None:
-    """What takes the messages of a channel apart; None when they are none of PX4's that are read."""
-    if message_encoding == "json":
-        names = [schema_name, re.sub(r"_\d+$", "", topic.rsplit("/", 1)[-1])]  # instances are numbered
-        decode: Callable[[memoryview], Fields] = _decode_json
-    elif message_encoding == "cdr" and schema_name.startswith("px4_msgs/"):
-        names = [re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", schema_name.rsplit("/", 1)[-1]).lower()]
-        decode = partial(_decode_cdr, _read_definition(schema_data.decode(errors="replace")))
-    else:
-        return None
+    """Return what parses the messages of a channel; None when they are not PX4's that are read."""
+    names = _message_names(topic, schema_name, message_encoding)
     read = next((_READERS[name] for name in names if name in _READERS), None)
-    return (lambda payload: read(decode(payload))) if read else None
+    decode = _decoder(schema_name, schema_data, message_encoding) if read else None
+    if read is None or decode is None:
+        return None
+    return lambda payload: read(decode(payload))
+
+
+def _message_names(topic: str, schema_name: str, message_encoding: str) -> list[str]:
+    """Return the names that a uORB message may have: of a ULog's converter, or CamelCase of px4_msgs."""
+    if message_encoding == "json":
+        return [schema_name, re.sub(r"_\d+$", "", topic.rpartition("/")[2])]  # instances are numbered
+    if message_encoding == "protobuf":
+        return [schema_name.rpartition(".")[2]]
+    if message_encoding == "cdr" and schema_name.startswith("px4_msgs"):
+        return [re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", re.split(r"\W+", schema_name)[-1]).lower()]
+    return []
+
+
+def _decoder(schema_name: str, schema_data: bytes, message_encoding: str) -> Decoder | None:
+    if message_encoding == "json":
+        return _decode_json
+    if message_encoding == "cdr":
+        return partial(_decode_cdr, _read_definition(schema_data.decode(errors="replace")))
+    try:
+        message_class = _message_class(schema_name, schema_data)
+    except (DecodeError, KeyError, TypeError, ValueError):  # not a usable FileDescriptorSet
+        return None
+    return partial(_decode_protobuf, message_class)
+
+
+def _message_class(schema_name: str, schema_data: bytes) -> type[Message]:
+    """Build the class of a message from the FileDescriptorSet of its schema."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in FileDescriptorSet.FromString(schema_data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema_name))
+
+
+def _decode_protobuf(message_class: type[Message], payload: memoryview) -> Fields:
+    message = message_class.FromString(bytes(payload))
+    return {name: getattr(message, name) for name in message.DESCRIPTOR.fields_by_name}
 
 
 def _decode_json(payload: memoryview) -> Fields:
@@ -64,7 +101,7 @@ def _decode_json(payload: memoryview) -> Fields:
 
 
 def _read_definition(text: str) -> list[tuple[str, str, int | None]]:
-    """(name, code, length of the array or None) of the fields, up to the first that is no plain number."""
+    """Return (name, code, array length or None) of the fields, up to the first that is not a number."""
     fields = []
     for line in text.split("\n===", 1)[0].splitlines():
         stripped = line.split("#")[0].strip()
@@ -112,7 +149,7 @@ def _gimbal_attitude(fields: Fields) -> Attitude | None:
 
 
 def _quaternion(fields: Fields) -> Quaternion | None:
-    """The field q: w, x, y, z. pyulog spreads it over q[0] to q[3]."""
+    """Read the field q: w, x, y, z. pyulog spreads it over q[0] to q[3]."""
     values = fields["q"] if "q" in fields else [fields[f"q[{i}]"] for i in range(4)]
     return unit_quaternion(*map(float, values))
 

@@ -1,7 +1,7 @@
-"""What the heads of H.264 packets tell: where pictures are missing.
+"""Find missing pictures of H.264 streams by the headers of their packets.
 
-FFmpeg decodes what stands on a missing picture as if nothing were wrong, and gives a smeared picture without
-a word. The numbers of reference pictures (frame_num, ITU-T H.264 7.4.3) tell of the gap.
+FFmpeg decodes a picture whose reference is missing without an error, and returns it smeared. The numbers of
+reference pictures (frame_num, ITU-T H.264 7.4.3) show the gap.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-_UNIT = re.compile(rb"\x00\x00\x01([\s\S])(?=([\s\S]{0,64}))")  # a head is never longer than this
+_UNIT = re.compile(rb"\x00\x00\x01([\s\S])(?=([\s\S]{0,64}))")  # no header is longer
 _STUFFED = re.compile(rb"\x00\x00\x03")
 _SLICE, _KEY_SLICE, _SEQUENCE = 1, 5, 7
 _MAX_FRAME_NUM_BITS = 16
@@ -17,7 +17,7 @@ _PROFILES_WITH_CHROMA = frozenset({100, 110, 122, 244, 44, 83, 86, 118, 128, 138
 
 
 class _Sequence(NamedTuple):
-    """What a sequence parameter set says of frame_num; `is_gap_allowed` where gaps are meant to be."""
+    """What a sequence parameter set says about frame_num; `is_gap_allowed` where gaps are intended."""
 
     frame_num_bits: int
     has_colour_planes: bool
@@ -25,14 +25,14 @@ class _Sequence(NamedTuple):
 
 
 class GapFinder:
-    """Looks at all packets of a stream in order."""
+    """Compares the packets of a stream, which must all be passed in order."""
 
     def __init__(self) -> None:
         self._sequence: _Sequence | None = None
-        self._last_frame_num: int | None = None  # of the last picture that others stand on
+        self._last_frame_num: int | None = None  # of the last reference picture
 
     def is_after_gap(self, packet: bytes) -> bool:
-        """Whether a picture that others stand on is missing between a packet of Annex B and those before."""
+        """Whether a reference picture is missing between a packet of Annex B and those before."""
         for unit in _UNIT.finditer(packet):
             head, bits = unit[1][0], _Bits(_STUFFED.sub(b"\0\0", unit[2]))
             try:
@@ -40,7 +40,7 @@ class GapFinder:
                     self._sequence = _parse_sequence(bits)
                 elif head & 31 in {_SLICE, _KEY_SLICE} and self._sequence:
                     return self._note(head, _parse_frame_num(bits, self._sequence), self._sequence)
-            except IndexError:  # damaged, which the decoder will find too
+            except IndexError:  # damaged, as the decoder will report
                 return False
         return False
 
@@ -67,14 +67,14 @@ class _Bits:
         return value
 
     def take_ue(self) -> int:
-        """An unsigned number of Exp-Golomb code."""
+        """Read an unsigned Exp-Golomb number."""
         n_zeros = 0
         while not self.take(1):
             n_zeros += 1
         return (1 << n_zeros) - 1 + self.take(n_zeros)
 
     def take_se(self) -> int:
-        """A number with a sign."""
+        """Read a signed Exp-Golomb number."""
         value = self.take_ue()
         return (value + 1) // 2 if value & 1 else -(value // 2)
 
@@ -101,7 +101,7 @@ def _parse_sequence(bits: _Bits) -> _Sequence:
 
 
 def _skip_chroma(bits: _Bits) -> bool:
-    """Pass over chroma format, bit depths and scaling lists; whether colours are coded apart."""
+    """Skip chroma format, bit depths and scaling lists; return whether colours are coded separately."""
     chroma_format = bits.take_ue()
     has_colour_planes = bool(bits.take(1)) if chroma_format == 3 else False
     bits.take_ue(), bits.take_ue()  # bit depths
@@ -122,7 +122,7 @@ def _skip_scaling_list(bits: _Bits, size: int) -> None:
 
 
 def _skip_order(bits: _Bits) -> None:
-    """Pass over the picture order count."""
+    """Skip the picture order count."""
     kind = bits.take_ue()
     if kind == 0:
         bits.take_ue()

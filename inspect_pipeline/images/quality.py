@@ -1,4 +1,4 @@
-"""How usable a picture is: sharpness and brightness, measured on a copy of bounded size."""
+"""Sharpness and brightness of images, measured on a copy of bounded size."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ImageQuality:
 
 
 def measure_quality(image: ImageArray) -> ImageQuality:
-    """The quality of a uint8 RGB image, shrunk to a longer side of 1024 px when it is larger."""
+    """Measure a uint8 (height, width, 3) RGB image, shrunk to a longer side of 1024 px if it is larger."""
     luma = cv2.cvtColor(_shrink(image), cv2.COLOR_RGB2GRAY)
     laplacian = cv2.Laplacian(luma, cv2.CV_32F)
     return ImageQuality(sharpness=float(laplacian.var()), mean_luma=float(luma.mean()))
@@ -34,7 +34,7 @@ def _shrink(image: ImageArray) -> ImageArray:
     scale = _MAX_SIDE_PX / max(height, width)
     if scale >= 1:
         return image
-    # Of an image of a few rows, as line cameras have, one is left.
+    # Keep one row or column of images that have only a few, such as those of line cameras.
     fx, fy = max(scale, 1 / width), max(scale, 1 / height)
     small = cv2.resize(image, None, fx=fx, fy=fy, interpolation=cv2.INTER_AREA)
     return small.astype(np.uint8, copy=False)

@@ -169,7 +169,7 @@ def _odometry(reader: SequentialReader, is_camera: bool) -> Attitude | None:
 
 
 def _imu(reader: SequentialReader, _is_camera: bool) -> Attitude | None:
-    """The vehicle's attitude in ENU (REP 145); a covariance of -1 says that there is none."""
+    """Return the vehicle's attitude in ENU (REP 145); a covariance of -1 says that there is none."""
     reader.header()
     rotation, covariance = _ros_quaternion(reader), reader.float64()
     known = unit_quaternion(*rotation) if covariance != -1 else None
@@ -192,13 +192,13 @@ def _tf_message(reader: SequentialReader) -> list[Transform]:
 
 
 def _pose(frame_id: str, rotation: Quaternion, is_camera: bool, place: Sequence[float]) -> Attitude | None:
-    """The attitude of whatever the topic is about, if given in a world frame."""
+    """Return the attitude of what the topic is about; None unless it is given in a world frame."""
     known = unit_quaternion(*rotation) if is_world(frame_id) else None
     return known and Attitude(known, is_camera, height_m=_height_m(place))
 
 
 def _height_m(place: Sequence[float]) -> float | None:
-    """The height of x, y, z; None at the origin, where sources of rotations alone put everything."""
+    """Return z; None at the origin, as in sources that give rotations only."""
     return float(place[2]) if any(place) and math.isfinite(place[2]) else None
 
 
@@ -232,7 +232,7 @@ def _ros2_transform(payload: memoryview) -> list[Transform]:
 
 
 def _transform(parent: str, child: str, rotation: Quaternion, place: Sequence[float]) -> list[Transform]:
-    """A transform, none where the rotation or the place is no number."""
+    """Return a transform; none when the rotation or the place is not finite."""
     known = unit_quaternion(*rotation)
     if known is None or not all(map(math.isfinite, place)):
         return []
@@ -253,7 +253,7 @@ def _flatbuffer_place(table: FlatbufferTable | None) -> list[float]:
 
 
 def _flatbuffer_quaternion(table: FlatbufferTable | None) -> Quaternion:
-    """The rotation of a table, whose w is 1 where it is left out."""
+    """Read a rotation; a w that is left out is 1, the default of the schema."""
     if table is None:
         raise ValueError("there is no rotation")
     return Quaternion(table.float64(3, 1.0), table.float64(0), table.float64(1), table.float64(2))
@@ -265,7 +265,7 @@ def _ros_quaternion(reader: SequentialReader) -> Quaternion:
 
 
 def _in_ros(package: str, name: str, parse: Callable[..., Any]) -> dict[tuple[str, str], Callable[..., Any]]:
-    """The parser of a message of ROS 2 and of ROS 1, by schema name and encoding."""
+    """Return the parsers of a message in ROS 2 and ROS 1, by type and encoding."""
     return {
         (f"{package}/{name}", "cdr"): lambda payload, *rest: parse(CdrReader(payload), *rest),
         (f"{package}/{name}", "ros1"): lambda payload, *rest: parse(Ros1Reader(payload), *rest),

@@ -7,7 +7,9 @@ INSTALLED := $(VENV)/.installed
 LSNET_PIPE := $(BIN)/lsnet-pipe
 DEMO_STORE := --store demo/store
 
-.PHONY: help demo test lint types contracts wheel slow reliability reliability-short bench bench-tracks bench-inspection clean
+SEED ?= 1
+
+.PHONY: attacks help demo test lint types contracts wheel slow reliability reliability-short bench bench-tracks bench-inspection clean
 
 help:
 	@echo "make demo       simulate a flight, process it, ask three questions, draw a picture"
@@ -22,6 +24,7 @@ help:
 	@echo "make bench-inspection     anomalies, coverage and queries against simulated flights, half an hour"
 	@echo "make reliability-short    kills, stops and repeats of batches, a few minutes"
 	@echo "make reliability          the same with 500 kills and 10,000 recordings, hours"
+	@echo "make attacks SEED=1       500 hostile inputs, some minutes; exit 1 for a traceback, hang or loss"
 	@echo "make clean      remove what was built, but not $(VENV)"
 
 $(INSTALLED): pyproject.toml constraints.txt
@@ -46,6 +49,9 @@ demo: $(INSTALLED)
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -q -n auto --dist loadfile
+
+attacks: $(INSTALLED)
+	$(BIN)/python tests/attacks/run.py --seed $(SEED)
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -71,6 +71,12 @@ def test_an_output_that_is_a_pipe_is_written_through(folder: Path) -> None:
     assert (folder / "copy").read_text() == "n\n5\n"
 
 
+def test_a_query_below_the_limits_of_the_shell(folder: Path) -> None:
+    """The program's own limits are never above those of `ulimit`, which nobody but root may raise."""
+    done = shell("ulimit -t 30; lsnet-pipe query 'SELECT 1 AS n' --format csv", folder)
+    assert (done.stdout, done.stderr) == ("n\n1\n", "")
+
+
 def test_completion(folder: Path) -> None:
     done = shell(
         "lsnet-pipe",

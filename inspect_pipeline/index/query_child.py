@@ -86,7 +86,9 @@ def limit_process(job: dict[str, Any]) -> None:
         (resource.RLIMIT_FSIZE, file_bytes),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(what, (limit, limit))
+        hard = resource.getrlimit(what)[1]  # as of `ulimit`: nobody but root may raise it
+        allowed = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(what, (allowed, allowed))
 
 
 def open_index(job: dict[str, Any]) -> duckdb.DuckDBPyConnection:

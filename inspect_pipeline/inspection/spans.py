@@ -248,7 +248,7 @@ def load_spans(store: Store) -> list[Span]:
     if not path.exists():
         return []
     try:
-        features = json.loads(path.read_bytes())["features"]
+        features = parse_json(path.read_bytes())["features"]
         return [_checked(Span(**{**feature["properties"], **_ends(feature)})) for feature in features]
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise SpansError(path, f"is damaged ({error})", "import the spans again") from error

@@ -169,16 +169,18 @@ def attack_sql(rng: Generator, folder: Path, templates: Templates) -> Attack:
 
 def attack_output(rng: Generator, folder: Path, templates: Templates) -> Attack:
     """An output name that is odd; a loss is success without a file. FIFOs lack a reader: that is refused."""
-    target = folder / "work" / "t"
+    command = pick(rng, ["query", "overlay"])
+    suffix = ".csv" if command == "query" else ".png"
+    target = folder / "work" / f"t{suffix}"
     (folder / "in" / "kept.csv").write_text("kept")
     kind = pick(
         rng, ["folder", "fifo", "link", "loop", "empty", "null", "long", "missing", "suffix", "input"]
     )
     name = {
         "empty": "",
-        "null": "odd\x1b\n.csv",
-        "long": "x" * 300 + ".csv",
-        "missing": "no/where.csv",
+        "null": f"odd\x1b\n{suffix}",
+        "long": "x" * 300 + suffix,
+        "missing": f"no/where{suffix}",
         "suffix": "rows.xlsx",
         "input": "../in/kept.csv/below.csv",
     }.get(kind, str(target))
@@ -187,7 +189,7 @@ def attack_output(rng: Generator, folder: Path, templates: Templates) -> Attack:
     elif kind == "fifo":
         os.mkfifo(target)
     elif kind == "link":
-        target.symlink_to(folder / "work" / "behind.csv")
+        target.symlink_to(folder / "work" / f"behind{suffix}")
     elif kind == "loop":
         target.symlink_to(target)
 
@@ -200,7 +202,6 @@ def attack_output(rng: Generator, folder: Path, templates: Templates) -> Attack:
             return "no file"
         return None
 
-    command = pick(rng, ["query", "overlay"])
     store = ["--store", str(templates.store)]
     if command == "query":
         return Attack(["query", "FROM frames", "-o", name, *store], find_loss)

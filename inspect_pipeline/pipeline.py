@@ -7,18 +7,16 @@ recording ── iter_frames ── detect_frames ── FlightTracker ──┬
 from __future__ import annotations
 
 import time
-from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator, message_format
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
+from inspect_pipeline.detection import DecodeCounts, detect_frames
 from inspect_pipeline.errors import EmptyResultError
-from inspect_pipeline.images.quality import ImageQuality, measure_quality
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
@@ -29,20 +27,18 @@ from inspect_pipeline.tracking.flight import FlightTracker
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from inspect_pipeline.config import ProcessOptions
     from inspect_pipeline.recording.append import AnnotationWriter
     from inspect_pipeline.recording.reader import Recording
-    from inspect_pipeline.recording.types import CameraChannel, Frame
+    from inspect_pipeline.recording.types import CameraChannel
     from inspect_pipeline.store.records import RunRecord
 
     Status = Literal["ok", "recovered", "failed"]
-    from lsnet import Detections, Detector
+    from lsnet import Detector
 
 _ANNOTATION_FILES = {"copy": ANNOTATED, "sidecar": SIDECAR, "none": None}
-_BATCH_FRAMES = 8
-_BATCH_BYTES = 32 << 20  # of pixels; two batches are in memory at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +47,6 @@ class Progress:
 
     n_frames: int
     n_expected: int | None
-
-
-class ProcessedFrame(NamedTuple):
-    """A frame with its quality and detections, both None where it could not be decoded."""
-
-    frame: Frame
-    quality: ImageQuality | None = None
-    detections: Detections | None = None
-    infer_ms: float | None = None
 
 
 def process(
@@ -143,43 +130,6 @@ def _refuse_empty(path: Path, known: FlightRecord, record: FlightRecord) -> None
         raise EmptyResultError(path, record.flight_id, n_known)
 
 
-def detect_frames(frames: Iterable[Frame], detector: Detector) -> Iterator[ProcessedFrame]:
-    """Yield every frame with its detections; the next batch is decoded while one is detected."""
-    for batch in _one_ahead(_batches(frames)):
-        images = [each.frame.image for each in batch if each.frame.image is not None]
-        started = time.perf_counter()
-        found = iter(detector.detect(images) if images else [])
-        infer_ms = (time.perf_counter() - started) * 1e3 / max(len(images), 1)
-        for each in batch:
-            if each.frame.image is None:
-                yield each
-            else:
-                yield each._replace(detections=next(found), infer_ms=infer_ms)
-
-
-def _batches(frames: Iterable[Frame]) -> Iterator[list[ProcessedFrame]]:
-    """Group decoded frames with their quality, limited in number and in bytes."""
-    batch: list[ProcessedFrame] = []
-    n_bytes = 0
-    for frame in frames:
-        batch.append(ProcessedFrame(frame, None if frame.image is None else measure_quality(frame.image)))
-        n_bytes += 0 if frame.image is None else frame.image.nbytes
-        if len(batch) == _BATCH_FRAMES or n_bytes >= _BATCH_BYTES:
-            yield batch
-            batch, n_bytes = [], 0
-    if batch:
-        yield batch
-
-
-def _one_ahead(batches: Iterator[list[ProcessedFrame]]) -> Iterator[list[ProcessedFrame]]:
-    """Yield the same batches; a thread makes the next one while the current one is in use."""
-    with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(next, batches, None)
-        while (batch := coming.result()) is not None:
-            coming = pool.submit(next, batches, None)
-            yield batch
-
-
 def _write_flight(
     recording: Recording,
     cameras: Sequence[CameraChannel],
@@ -199,7 +149,7 @@ def _write_flight(
     frames = iter_frames(
         recording, cameras, every=options.every, start_ns=options.start_ns, end_ns=options.end_ns
     )
-    decoded = _DecodeCounts()
+    decoded = DecodeCounts()
     n_expected = _expected_frames(cameras, options)
     with (
         _annotation_writer(recording, folder, options) as out,
@@ -274,37 +224,6 @@ def _format_warnings(recording: Recording, options: ProcessOptions) -> list[str]
         profile = f"profile {recording.profile!r}" if recording.profile else "no profile"
         return [f"players of ROS 2 bags do not open its annotated copy either: it has {profile}, not 'ros2'"]
     return []
-
-
-class _DecodeCounts:
-    """Counts the frames of each camera that could and could not be decoded."""
-
-    def __init__(self) -> None:
-        self._n_good: Counter[str] = Counter()
-        self._errors: dict[str, Counter[str]] = {}
-
-    def add(self, frame: Frame) -> None:
-        """Count a frame."""
-        if frame.error is None:
-            self._n_good[frame.topic] += 1
-        else:
-            self._errors.setdefault(frame.topic, Counter())[frame.error] += 1
-
-    @property
-    def failures(self) -> list[str]:
-        """One phrase for each camera of which no frame could be decoded."""
-        return [self._phrase(topic) for topic in self._errors if not self._n_good[topic]]
-
-    @property
-    def warnings(self) -> list[str]:
-        """One phrase for each other camera with frames that could not be decoded."""
-        return [self._phrase(topic) for topic in self._errors if self._n_good[topic]]
-
-    def _phrase(self, topic: str) -> str:
-        errors = self._errors[topic]
-        n_bad, (reason, n_alike) = errors.total(), errors.most_common(1)[0]
-        share = "" if n_alike == n_bad else f" ({n_alike} times)"
-        return f"{topic}: {n_bad} of {n_bad + self._n_good[topic]} frames cannot be decoded: {reason}{share}"
 
 
 def _expected_frames(cameras: Sequence[CameraChannel], options: ProcessOptions) -> int | None:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.index.derived import Inspected
     from inspect_pipeline.inspection.rules import Rules
-    from inspect_pipeline.store.store import Damage, Store, StoredFlight
+    from inspect_pipeline.store.store import DamagedFlight, Store, StoredFlight
 
 _HEADER_BYTES = 3 * 4096  # in front of the blocks
 
@@ -58,7 +58,7 @@ class IndexChange:
     n_flights: int
     n_written: int
     n_removed: int
-    damaged: tuple[Damage, ...]
+    damaged: tuple[DamagedFlight, ...]
 
 
 def publish(store: Store | Path | str) -> IndexChange:
@@ -161,7 +161,7 @@ def verify(store: Store | Path | str) -> tuple[str, ...]:
         return tuple(problems)
 
 
-def _check_files(store: Store, flights: list[StoredFlight]) -> list[Damage]:
+def _check_files(store: Store, flights: list[StoredFlight]) -> list[DamagedFlight]:
     """Return the flights with a file whose checksum differs, annotated copies included."""
     with store_errors(store.root):
         return find_damaged(flights, lambda flight: flight.record.files)
@@ -245,7 +245,7 @@ def _has_all_blocks(path: Path, connection: duckdb.DuckDBPyConnection) -> bool:
     return path.stat().st_size >= _HEADER_BYTES + (last + 1) * int(size)
 
 
-def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Damage]) -> IndexChange:
+def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[DamagedFlight]) -> IndexChange:
     try:
         return _replace_index(store, flights, damaged, None)
     except DATABASE_ERRORS:
@@ -260,7 +260,7 @@ def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[Damage]) -
 
 
 def _replace_index(
-    store: Store, flights: list[StoredFlight], damaged: list[Damage], known: Mapping[str, str] | None
+    store: Store, flights: list[StoredFlight], damaged: list[DamagedFlight], known: Mapping[str, str] | None
 ) -> IndexChange:
     """Write the next index, from the current one with its `known` flights or from nothing, and rename it.
 

@@ -9,7 +9,7 @@ import duckdb
 from inspect_pipeline.index.derived import insert_records
 from inspect_pipeline.index.flight_tables import ROW_TABLES
 from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, create_tables, first_line
-from inspect_pipeline.store.store import Damage
+from inspect_pipeline.store.store import DamagedFlight
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -107,13 +107,15 @@ def compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
 def find_damaged(
     flights: Iterable[StoredFlight],
     files_of: Callable[[StoredFlight], Iterable[str]] = lambda flight: flight.row_files,
-) -> list[Damage]:
+) -> list[DamagedFlight]:
     """Return the flights with a file, else with rows, whose checksum differs; raises OSError."""
     found = ((flight, flight.check_content(files_of(flight))) for flight in flights)
-    return [Damage(flight.folder, f"{problem}; {PROCESS_AGAIN}") for flight, problem in found if problem]
+    return [
+        DamagedFlight(flight.folder, f"{problem}; {PROCESS_AGAIN}") for flight, problem in found if problem
+    ]
 
 
-def find_unreadable(flights: list[StoredFlight]) -> list[Damage]:
+def find_unreadable(flights: list[StoredFlight]) -> list[DamagedFlight]:
     """Return the flights that cannot be inserted into an empty index, trying them one by one."""
     damaged = []
     for flight in flights:
@@ -122,7 +124,9 @@ def find_unreadable(flights: list[StoredFlight]) -> list[Damage]:
                 create_tables(connection)
                 _insert_flights(connection, [flight])
         except (*DATABASE_ERRORS, AttributeError, KeyError, TypeError, ValueError) as error:
-            damaged.append(Damage(flight.folder, f"unreadable ({str(error)[:200]!a}); {PROCESS_AGAIN}"))
+            damaged.append(
+                DamagedFlight(flight.folder, f"unreadable ({str(error)[:200]!a}); {PROCESS_AGAIN}")
+            )
     return damaged
 
 

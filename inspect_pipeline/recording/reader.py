@@ -98,7 +98,7 @@ class Recording:
         ]
         years = (self.end_ns - self.start_ns) / _YEAR_NS
         if years > 1:
-            found.append(f"its log times span {years:.0f} years")
+            found.append(f"its log times span {round(years)} {'year' if round(years) == 1 else 'years'}")
         if missing := missing_numbers(list(self.files)):
             found.append(f"parts between the first and the last are missing: {join_phrases(missing, ', ')}")
         for part in self.parts:

@@ -53,7 +53,7 @@ def as_store(store: Store | Path | str) -> Store:
     return store if isinstance(store, Store) else Store(store)
 
 
-class Damage(NamedTuple):
+class DamagedFlight(NamedTuple):
     """A folder among the flights that cannot be used, and why."""
 
     folder: Path
@@ -161,7 +161,7 @@ class Store:
         with store_errors(self.root):
             return stored.record if stored and stored.check_content(stored.row_files) is None else None
 
-    def scan(self) -> tuple[list[StoredFlight], list[Damage]]:
+    def scan(self) -> tuple[list[StoredFlight], list[DamagedFlight]]:
         """Return all flights by time, and the folders that cannot be used; raises StoreError.
 
         Sizes of files are checked, their content is not.
@@ -174,7 +174,7 @@ class Store:
                 continue
             stored = self._load(folder)
             if problem := _find_problem(folder, stored):
-                damaged.append(Damage(folder, problem))
+                damaged.append(DamagedFlight(folder, problem))
             elif stored:
                 flights.append(stored)
         flights.sort(key=lambda stored: (stored.record.totals.start_ns or 0, stored.record.flight_id))

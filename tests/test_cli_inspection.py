@@ -65,8 +65,10 @@ def import_towers(store: Store, folder: Path) -> None:
     """As people do, from a table."""
     lines = [f"{s.structure_id},{s.lat_deg!r},{s.lon_deg!r},11.7" for s in TRUTH.structures]
     (folder / "towers.csv").write_text("\n".join(["structure_id,latitude,longitude,height_m", *lines]))
-    told = run("spans", "import", str(folder / "towers.csv"), "--conductors", "4")
-    assert told == f"{len(TRUTH.spans)} spans imported; the store has {len(TRUTH.spans)}\n"
+    lines = run("spans", "import", str(folder / "towers.csv"), "--conductors", "4").splitlines()
+    assert lines[0] == f"{len(TRUTH.spans)} spans imported; the store has {len(TRUTH.spans)}"
+    assert lines[1].startswith("0.28 km, latitude 52.08995 to 52.09020, longitude 5.11681 to")
+    assert lines[2] == "4 of 5 within near_m of a flight"
 
 
 def test_importing_spans_measures_all_flights_again(store: Store, tmp_path: Path) -> None:
@@ -87,6 +89,15 @@ def test_importing_spans_measures_all_flights_again(store: Store, tmp_path: Path
 
 
 FAULTY = made.flight_id_of("faulty")
+
+
+def test_import_warns_of_swapped_coordinates(store: Store, tmp_path: Path) -> None:
+    lines = [f"{s.structure_id},{s.lon_deg!r},{s.lat_deg!r}" for s in TRUTH.structures]
+    (tmp_path / "towers.csv").write_text("\n".join(["structure_id,latitude,longitude", *lines]))
+    done = CliRunner().invoke(cli.app, ["spans", "import", str(tmp_path / "towers.csv")])
+    assert done.exit_code == 0
+    assert "0 of 5 within near_m of a flight" in done.stdout
+    assert "are latitude and longitude swapped" in done.stderr
 
 
 def test_a_review_lasts_and_settles_the_check(store: Store) -> None:

@@ -12,6 +12,11 @@ import typer
 from inspect_pipeline.commands.options import JsonOption, StoreOption, open_store
 from inspect_pipeline.commands.output import count_of, print_line, print_table
 
+_NEAR_FLIGHTS = """
+SELECT (SELECT count(DISTINCT span_id) FROM coverage WHERE span_id IN (SELECT unnest(?))) AS n_spans,
+       (SELECT count(*) FROM coverage WHERE kind = 'corridor' AND total > 0) AS n_placed_flights
+"""
+
 app = typer.Typer(
     help="Import and list the spans that coverage is about.",
     epilog="Example: lsnet-pipe spans import towers.csv",
@@ -36,14 +41,22 @@ def import_file(
     Examples:
       lsnet-pipe spans import towers.csv --conductors 4
     """
-    from inspect_pipeline.index.publish import publish
-    from inspect_pipeline.inspection.spans import import_spans, read_spans
+    from inspect_pipeline.index.publish import publish, select
+    from inspect_pipeline.inspection.span_files import read_spans
+    from inspect_pipeline.inspection.spans import describe_extent, import_spans
 
     target = open_store(store, create=True)
     spans = read_spans(file, conductors)
     total = import_spans(target, spans)
     publish(target)
     print_line(f"{count_of(len(spans), 'span')} imported; the store has {total:,}")
+    print_line(describe_extent(spans))
+    near = select(target, _NEAR_FLIGHTS, [[span.span_id for span in spans]])[0]
+    if near["n_placed_flights"]:
+        print_line(f"{near['n_spans']} of {len(spans)} within near_m of a flight")
+    if near["n_placed_flights"] and not near["n_spans"]:
+        message = "no flight is near these spans: are latitude and longitude swapped, or is it another line?"
+        typer.echo(message, err=True)
 
 
 @app.command("list")

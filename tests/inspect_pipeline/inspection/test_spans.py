@@ -1,4 +1,4 @@
-"""Spans from the files that people have: written by hand, with what such files get wrong."""
+"""Spans from CSV and GeoJSON files written by hand, valid and invalid."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from inspect_pipeline.errors import SpansError
-from inspect_pipeline.inspection.spans import Span, import_spans, load_spans, read_spans
+from inspect_pipeline.inspection.span_files import read_spans
+from inspect_pipeline.inspection.spans import Span, describe_extent, import_spans, load_spans
 from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
@@ -57,11 +58,11 @@ def test_assets_as_exported_with_decimal_commas(tmp_path: Path) -> None:
 
 
 def test_lines_of_a_geojson(tmp_path: Path) -> None:
-    told = {"name": "North", "expected_conductors": 6}
+    properties = {"name": "North", "expected_conductors": 6}
     line = {"type": "LineString", "coordinates": [[5.0, 52.0], [5.0, 52.001], [5.0, 52.002]]}
     content = {
         "type": "FeatureCollection",
-        "features": [{"type": "Feature", "properties": told, "geometry": line}],
+        "features": [{"type": "Feature", "properties": properties, "geometry": line}],
     }
     spans = read(tmp_path, json.dumps(content), "lines.geojson")
     assert [(one.span_id, one.line_id, one.expected_conductors) for one in spans] == [
@@ -76,7 +77,7 @@ def feature(coordinates: list[Any], kind: str = "LineString", **properties: obje
     return json.dumps({"type": "Feature", "properties": properties, "geometry": geometry})
 
 
-def test_numbers_of_a_geojson_may_be_texts(tmp_path: Path) -> None:
+def test_numbers_of_a_geojson_may_be_strings(tmp_path: Path) -> None:
     text = feature([["5.0", "52.0"], [5.0, 52.001]], height_m="20,5", to_height_m=0, expected_conductors="3")
     (span,) = read(tmp_path, text, "a.geojson")
     assert (span.from_lat_deg, span.from_height_m, span.to_height_m, span.expected_conductors) == (
@@ -87,7 +88,7 @@ def test_numbers_of_a_geojson_may_be_texts(tmp_path: Path) -> None:
     )
 
 
-def test_nothing_hangs_between_the_lines_of_one_feature(tmp_path: Path) -> None:
+def test_lines_of_one_feature_are_not_connected(tmp_path: Path) -> None:
     lines = [[[5.0, 52.0], [5.0, 52.001], [5.0, 52.002]], [[5.0, 52.003], [5.0, 52.004]]]
     spans = read(tmp_path, feature(lines, "MultiLineString", name="N", span_id="x"), "a.geojson")
     assert [(one.span_id, one.from_lat_deg) for one in spans] == [
@@ -103,26 +104,30 @@ def test_nothing_hangs_between_the_lines_of_one_feature(tmp_path: Path) -> None:
         ("", "no columns latitude and longitude"),
         ("a,b\n1,2\n", "no columns latitude and longitude"),
         ("id,latitude,longitude\nT1,52,5\n", "has no spans"),
-        ("id,latitude,longitude\nT1,52,5\nT2,abc,5\n", "row 3 has what is no number"),
+        ("id,latitude,longitude\nT1,52,5\nT2,abc,5\n", "row 3: 'abc' is not a number"),
         ("id,latitude,longitude\nT1,52,5\nT2,,5\n", "row 3 has no position"),
-        ("id,latitude,longitude\nT1,52,5\nT2,152,5\n", "row 3 has no position"),
+        ("id,latitude,longitude\nT1,52,5\nT2,152,5\n", "row 3: latitude 152, longitude 5 is out of range"),
         ("id,latitude,longitude\nT1,52,5\nT2,53,5\n", "in their order"),
         ("id,latitude,longitude\nT1,52,5\nT2,52,5\n", "0 m long"),
-        ("id,latitude,longitude\nA,52,5\nB,52.001,5\nA,52.002,5\nB,52.003,5\n", "is there twice"),
-        ("id,lat,lon,height\nT1,52,5,nan\nT2,52.001,5,9\n", "row 2 has what is no number"),
-        ("id,lat,lon,conductors\nT1,52,5,3\nT2,52.001,5,inf\n", "row 3 has what is no number"),
-        ("id,lat,lon,conductors\nT1,52,5,3\nT2,52.001,5,2.7\n", "row 3 has what is no number"),
-        ("id,lat,lon,conductors\nT1,52,5,-3\nT2,52.001,5,\n", "row 2 has what is no number"),
-        ("id,lat,lon\nT1,52," + 150_000 * "9", "is no CSV"),
-        (feature([[5, 52], [5, 52.001]], height_m="20 m"), "feature 1 has what is no number"),
-        (feature([[500_000, 5_760_000], [500_100, 5_760_000]]), "feature 1 has no position"),
-        ("{", "is no GeoJSON"),
-        ('{"type": "FeatureCollection"}', "is no GeoJSON"),
-        ('{"type": "FeatureCollection", "features": [{"geometry": null}]}', "is no GeoJSON"),
-        ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [5, 52]}}', "has no spans"),
+        ("id,latitude,longitude\nA,52,5\nB,52.001,5\nA,52.002,5\nB,52.003,5\n", "has span A-B twice"),
+        ("id,lat,lon,height\nT1,52,5,nan\nT2,52.001,5,9\n", "row 2: 'nan' is not a number"),
+        ("id,lat,lon,conductors\nT1,52,5,3\nT2,52.001,5,inf\n", "row 3: 'inf' is not a number"),
+        ("id,lat,lon,conductors\nT1,52,5,3\nT2,52.001,5,2.7\n", "row 3: '2.7' is not a whole number"),
+        ("id,lat,lon,conductors\nT1,52,5,-3\nT2,52.001,5,\n", "row 2: '-3' is not a whole number"),
+        ("id,lat,lon\nT1,52," + 150_000 * "9", "is not a valid CSV"),
+        (feature([[5, 52], [5, 52.001]], height_m="20 m"), "feature 1: '20 m' is not a number"),
+        (feature([[500_000, 5_760_000], [500_100, 5_760_000]]), "feature 1: latitude .* is out of range"),
+        ("{", "is not a GeoJSON"),
+        ('{"type": "FeatureCollection"}', "is not a GeoJSON"),
+        ('{"type": "FeatureCollection", "features": [{"geometry": null}]}', "is not a GeoJSON"),
+        (
+            '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [5, 52]}}',
+            "points, not lines; give structures as a CSV",
+        ),
+        ('<?xml version="1.0"?><kml/>', "such as KML; convert it: ogr2ogr spans.geojson towers.csv"),
     ],
 )
-def test_wrong_files_are_told_in_a_line(tmp_path: Path, text: str, words: str) -> None:
+def test_invalid_files_raise_one_line(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(SpansError, match=words) as caught:
         read(tmp_path, text)
     assert "\n" not in str(caught.value)
@@ -146,7 +151,7 @@ def test_an_import_replaces_its_lines_and_keeps_the_others(tmp_path: Path) -> No
     assert [one.span_id for one in load_spans(store)] == ["X1-X2", "T1-T9"]
 
 
-def test_what_the_store_keeps_is_read_as_it_is_by_others_and_by_us(tmp_path: Path) -> None:
+def test_spans_geojson_of_the_store_can_be_imported(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     spans = read(tmp_path, TOWERS)
     import_spans(store, spans)
@@ -155,3 +160,8 @@ def test_what_the_store_keeps_is_read_as_it_is_by_others_and_by_us(tmp_path: Pat
         (store.root / "spans.geojson").write_text(damaged)
         with pytest.raises(SpansError, match="import the spans again"):
             load_spans(store)
+
+
+def test_extent_is_described(tmp_path: Path) -> None:
+    text = describe_extent(read(tmp_path, TOWERS))
+    assert text == "0.29 km, latitude 52.00000 to 53.00000, longitude 5.00000 to 6.00100"

@@ -8,8 +8,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-# Without AMX: where its state did not fit a signal frame, the end of a training's worker killed the tests.
-os.environ.setdefault("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_BF16")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy and torch: pytest-xdist has a worker a core
 
 import cv2

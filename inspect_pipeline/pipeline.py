@@ -70,7 +70,7 @@ def process(
             something to detect and `run` is given.
         options: the cameras, frames and outputs.
         run: the run that the flight belongs to; by default one of its own.
-        on_progress: called after every batch of frames.
+        on_progress: called after every frame.
 
     Raises:
         RecordingError: the recording cannot be read, or has no camera.

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset
@@ -85,9 +86,14 @@ class _Encoded(Dataset["Batch"]):
 def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterator[Batch]:
     """Yield the samples of `indices` in batches, in order, encoded in worker processes.
 
+    With workers, OpenCV runs on one thread from then on: a forked worker has no copies of OpenCV's threads,
+    and would wait for them forever.
+
     Raises:
         LSNetError: A sample cannot be read.
     """
+    if config.workers:
+        cv2.setNumThreads(0)
     batches = DataLoader(
         _Encoded(samples, GridCoder()),
         batch_size=config.batch_size,
@@ -103,9 +109,6 @@ def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterat
 
 
 def _single_threaded(_worker: int) -> None:
-    import cv2  # noqa: PLC0415
-
-    cv2.setNumThreads(1)
     torch.set_num_threads(1)
 
 

@@ -307,3 +307,23 @@ def test_the_recipe_names_its_data(tmp_path: Path) -> None:
     assert drawn.describe() == "drawn on a, first 5, b, 64 px, seed 3"
     labelled = TrainingData((), tmp_path / "rails", tmp_path, (), size=64, seed=0)
     assert labelled.describe() == "labelled rails, 64 px, seed 0"
+
+
+class Blurred(Strokes):
+    """Images that need OpenCV's threads, where it has any."""
+
+    def __getitem__(self, index: int) -> Sample:
+        cv2.GaussianBlur(np.zeros((500, 500, 3), np.uint8), (0, 0), 3)
+        return super().__getitem__(index)
+
+
+@pytest.mark.timeout(30)
+def test_a_worker_draws_images_after_opencv_ran_threads_in_the_training_process() -> None:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        cv2.GaussianBlur(np.zeros((2000, 2000, 3), np.uint8), (0, 0), 3)
+        batches = list(train.loader(Blurred(), range(4), replace(QUICK, workers=1)))
+    finally:
+        cv2.setNumThreads(before)
+    assert [len(images) for images, _, _ in batches] == [2, 2]

@@ -14,6 +14,7 @@ MIGRATIONS = (
     "0004_stills.sql",
     "0005_reviewers.sql",
     "0006_judgements.sql",
+    "0007_priorities.sql",
 )
 
 

@@ -161,6 +161,18 @@ def test_check_by_other_rules(store: Store, tmp_path: Path) -> None:
     assert rows("check") == []
 
 
+def test_priorities_choose_what_is_listed_and_what_fails(store: Store) -> None:
+    assert {row["priority"] for row in rows("anomalies", "list")} == {"low"}
+    assert rows("anomalies", "list", "--priority", "medium") == []
+    (store.root / "rules.toml").write_text("[check]\nmin_frame_share = 0.1\n")
+    index.publish(store)
+    assert run("check", "--fail-on-priority", "medium") == "3 flights pass\n"
+    assert {row["rule"] for row in rows("check", "--fail-on-priority", "low", code=4)} == {"dark_frames"}
+    (store.root / "rules.toml").write_text('[anomalies.dark_frames]\npriority = "high"\n')
+    index.publish(store)
+    assert {row["kind"] for row in rows("anomalies", "list", "--priority", "high")} == {"dark_frames"}
+
+
 def test_check_reports_rules_that_could_not_judge(store: Store) -> None:
     """Without the height above ground, spans are flown by and nothing can be said of them."""
     truth = replace(TRUTH, frames=[replace(frame, height_m=None) for frame in TRUTH.frames])

@@ -12,6 +12,7 @@ import typer
 from inspect_pipeline.commands.options import FlightOption, JsonOption, StoreOption, open_store
 from inspect_pipeline.commands.output import print_line, print_table
 from inspect_pipeline.commands.times import TimezoneOption, format_time
+from inspect_pipeline.inspection.rules import PRIORITIES, Priority
 
 if TYPE_CHECKING:
     from datetime import tzinfo
@@ -34,6 +35,9 @@ class Decision(StrEnum):
 @app.command("list")
 def list_anomalies(
     flight: FlightOption = None,
+    priority: Annotated[
+        Priority | None, typer.Option(help="Only anomalies of this priority and higher.")
+    ] = None,
     show_all: Annotated[bool, typer.Option("--all", help="Include reviewed anomalies.")] = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
@@ -43,7 +47,7 @@ def list_anomalies(
 
     \b
     Examples:
-      lsnet-pipe anomalies list
+      lsnet-pipe anomalies list --priority high
       lsnet-pipe anomalies list --flight 42c8f628 --all --json
     """
     from inspect_pipeline.index.anomalies import list_anomalies as select_anomalies
@@ -51,14 +55,15 @@ def list_anomalies(
 
     source = open_store(store)
     rows = select_anomalies(source, find_flights(source, flight) if flight else [])
-    shown = [row for row in rows if show_all or row["verdict"] == "open"]
+    priorities = PRIORITIES[: PRIORITIES.index(priority) + 1] if priority else PRIORITIES
+    shown = [row for row in rows if row["priority"] in priorities and (show_all or row["verdict"] == "open")]
     if as_json:
         for row in shown:
             typer.echo(json.dumps(row))
         return
-    headers = ("anomaly_id", "kind", "flight_id", "start", "frames", "look_at", "place", "reason", "review")
+    headers = ("anomaly_id", "priority", "kind", "flight_id", "start", "frames", "look_at", "place")
     empty = "no anomalies" if show_all or not rows else "no open anomalies; --all lists the reviewed ones"
-    print_table(headers, [_to_row(row, timezone) for row in shown], empty)
+    print_table((*headers, "reason", "review"), [_to_row(row, timezone) for row in shown], empty)
 
 
 @app.command()
@@ -109,6 +114,7 @@ def _to_row(row: dict[str, Any], timezone: tzinfo | None) -> tuple[str | None, .
         review = f"{row['verdict']}{who}{note}"
     return (
         row["anomaly_id"],
+        row["priority"],
         row["kind"],
         row["flight_id"][:16],
         format_time(row["start_utc"], timezone),

@@ -12,6 +12,7 @@ import typer
 from inspect_pipeline.commands.options import FlightOption, JsonOption, StoreOption, open_store
 from inspect_pipeline.commands.output import count_of, print_table
 from inspect_pipeline.errors import printable
+from inspect_pipeline.inspection.rules import Priority
 
 _FAILED = 4
 
@@ -20,6 +21,12 @@ def check(
     flight: FlightOption = None,
     rules: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Thresholds in TOML. Default: those of the store.")
+    ] = None,
+    fail_on_priority: Annotated[
+        Priority | None,
+        typer.Option(
+            help="Fail for anomalies of this priority and higher instead of the kinds of the rules."
+        ),
     ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
@@ -33,6 +40,7 @@ def check(
     Examples:
       lsnet-pipe check
       lsnet-pipe check --flight 42c8f628 --rules strict.toml
+      lsnet-pipe check --fail-on-priority medium
     """
     from inspect_pipeline.index.check import check_flights
     from inspect_pipeline.index.flights import find_flights
@@ -41,7 +49,7 @@ def check(
     source = open_store(store)
     every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"
     flights = find_flights(source, flight) if flight else [row["flight_id"] for row in select(source, every)]
-    results = check_flights(source, flights, rules)
+    results = check_flights(source, flights, rules, fail_on_priority)
     failures = [each for each in results if each.outcome == "failed"]
     for each in results:
         if each.outcome == "not judged":

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from inspect_pipeline.inspection.rules import Rules
+    from inspect_pipeline.inspection.rules import Priority, Rules
     from inspect_pipeline.store.store import Store
 
 _ANOMALIES = """
@@ -46,11 +46,14 @@ class FailedCheck:
     outcome: Literal["failed", "not judged"] = "failed"
 
 
-def check_flights(store: Store, flight_ids: Sequence[str], rules_path: Path | None) -> list[FailedCheck]:
+def check_flights(
+    store: Store, flight_ids: Sequence[str], rules_path: Path | None, least_priority: Priority | None = None
+) -> list[FailedCheck]:
     """Return the rules that flights of the index fail, then those that could not judge them.
 
     By the rules of the store, or by those of a file, for which everything is computed again and not kept.
-    Where the rules say `fail_on_not_judged`, what was not judged has failed. Raises RulesError, StoreError.
+    Where the rules say `fail_on_not_judged`, what was not judged has failed. With `least_priority` all kinds
+    of this priority and higher count, in place of those of `fail_on`. Raises RulesError, StoreError.
     """
     if rules_path is None:
         rules = load_store_rules(store)
@@ -59,6 +62,8 @@ def check_flights(store: Store, flight_ids: Sequence[str], rules_path: Path | No
     else:
         rules = load_rules(rules_path)
         found = inspect_again(store, flight_ids, rules)
+    if least_priority is not None:
+        rules = rules.failing_from(least_priority)
     dismissed = {one.anomaly_id for one in load_reviews(store) if one.verdict == "dismissed"}
     return [
         *_failed_anomalies(found.anomalies, dismissed, rules),

@@ -7,9 +7,9 @@ import json
 import sys
 import tomllib
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from inspect_pipeline.errors import RulesError
 from inspect_pipeline.resources import read_schema
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+Priority = Literal["high", "medium", "low"]
+
+PRIORITIES: tuple[Priority, ...] = get_args(Priority)
 _LEAST = {"coverage.bin_m": 0.01}  # of all other numbers 0
 _UNLIMITED = sys.float_info.max
 _MOST_BY_SUFFIX = {"_share": 1.0, "_agreement": 1.0, "_angle_deg": 90.0, "_jump_deg": 180.0, "_luma": 255.0}
@@ -42,6 +45,17 @@ class Rules:
     def kinds(self) -> tuple[str, ...]:
         """Kinds of anomalies."""
         return tuple(name for name, value in self.anomalies.items() if isinstance(value, dict))
+
+    def priority(self, kind: str) -> Priority:
+        """Return the priority of a kind of anomaly."""
+        priority: Priority = self.anomalies[kind]["priority"]
+        return priority
+
+    def failing_from(self, least: Priority) -> Rules:
+        """Return rules whose check fails for all kinds of this priority and higher."""
+        counting = PRIORITIES[: PRIORITIES.index(least) + 1]
+        kinds = [kind for kind in self.kinds if self.priority(kind) in counting]
+        return replace(self, check={**self.check, "fail_on": kinds})
 
     @property
     def sha256(self) -> str:
@@ -79,6 +93,10 @@ def _check_kinds(rules: Rules, path: Path) -> None:
         if kind not in rules.kinds:
             known = ", ".join(rules.kinds)
             raise RulesError(path, f"check.fail_on has the unknown kind {kind!r}", f"known here: {known}")
+    for kind in rules.kinds:
+        if rules.priority(kind) not in PRIORITIES:
+            problem = f"anomalies.{kind}.priority is {rules.priority(kind)!r}"
+            raise RulesError(path, problem, f"give {', '.join(PRIORITIES[:-1])} or {PRIORITIES[-1]}")
 
 
 def _replace(values: dict[str, Any], own: Mapping[str, Any], path: Path, section: tuple[str, ...]) -> None:

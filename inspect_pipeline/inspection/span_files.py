@@ -177,6 +177,7 @@ def _read_feature(path: Path, number: int, feature: Mapping[str, Any]) -> Iterat
         "conductors": properties.get("expected_conductors"),
     }
     where, numbers = f"feature {number}", count(1)
+    asset_id, mrid = _asset_ids(properties)
     for vertices in _line_vertices(geometry):
         is_span = geometry["type"] == "LineString" and len(vertices) == 2
         ends = [_end_values(end, properties) for end in ("from", "to")] if is_span else repeat({})
@@ -186,13 +187,21 @@ def _read_feature(path: Path, number: int, feature: Mapping[str, Any]) -> Iterat
         ]
         for first, second in pairwise(structures):
             own = properties.get("span_id") if is_span else None
-            yield _span(path, first, second, str(own or f"{line_id}/{next(numbers)}"))
+            span = _span(path, first, second, str(own or f"{line_id}/{next(numbers)}"))
+            yield replace(span, asset_id=asset_id, mrid=mrid)
 
 
 def _line_vertices(geometry: Mapping[str, Any]) -> Sequence[Any]:
     """Return the vertices of each line of a geometry, none for other geometries."""
     coordinates: Sequence[Any] = geometry["coordinates"]
     return {"LineString": [coordinates], "MultiLineString": coordinates}.get(geometry["type"], [])
+
+
+def _asset_ids(properties: Mapping[str, Any]) -> tuple[str | None, str | None]:
+    """Return the asset id and the mRID among properties, such as `asset_id`, `assetId` and `mRID`."""
+    named = {name.lower().replace("_", ""): value for name, value in properties.items()}
+    asset_id, mrid = (str(named.get(name) or "") or None for name in ("assetid", "mrid"))
+    return asset_id, mrid
 
 
 def _end_values(end: str, properties: Mapping[str, Any]) -> dict[str, object]:

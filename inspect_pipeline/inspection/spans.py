@@ -21,12 +21,15 @@ if TYPE_CHECKING:
 
 _FILE = "spans.geojson"
 _ENDS = ("from_lat_deg", "from_lon_deg", "to_lat_deg", "to_lon_deg")
-_TEXTS = frozenset({"span_id", "line_id", "from_structure", "to_structure"})
+_TEXTS = frozenset({"span_id", "line_id", "from_structure", "to_structure", "asset_id", "mrid"})
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A row of the table spans, None for unknown values. Heights are those of conductors above the ground."""
+    """A row of the table spans, None for unknown values. Heights are those of conductors above the ground.
+
+    asset_id and mrid are the ids by which the owner's systems know it.
+    """
 
     span_id: str
     line_id: str | None
@@ -40,6 +43,8 @@ class Span:
     to_height_m: float | None
     length_m: float
     expected_conductors: int | None
+    asset_id: str | None = None
+    mrid: str | None = None
 
 
 def import_spans(store: Store, spans: Sequence[Span]) -> int:

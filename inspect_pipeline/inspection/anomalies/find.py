@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.anomalies.on_spans import ConductorFindings
     from inspect_pipeline.inspection.judgement import SpanJudgement
     from inspect_pipeline.inspection.rows import CameraRows, FrameRows
-    from inspect_pipeline.inspection.rules import Rules
+    from inspect_pipeline.inspection.rules import Priority, Rules
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_EVIDENCE = 5
@@ -56,6 +56,7 @@ class Anomaly:
     span_id: str | None
     lat_deg: float | None
     lon_deg: float | None
+    priority: Priority
     anomaly_id: str = ""
 
 
@@ -98,7 +99,7 @@ def inspect_cameras(cameras: Sequence[CameraRows], spans: Sequence[Span], rules:
             judged.append(find_on_spans(evidence, origin, rules))
             findings += judged[-1].findings
         anomalies += [
-            _to_anomaly(camera.channel_id, camera.frames, one)
+            _to_anomaly(camera.channel_id, camera.frames, one, rules.priority(one.kind))
             for one in findings
             if rules.of(one.kind)["enabled"]
         ]
@@ -112,7 +113,7 @@ def _before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> Mask:
     return np.arange(len(frames)) < min(jumps, default=len(frames))
 
 
-def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding) -> Anomaly:
+def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding, priority: Priority) -> Anomaly:
     rows = np.asarray(found.rows)
     evidence = rows[np.unique(np.linspace(0, len(rows) - 1, _MAX_EVIDENCE).round().astype(int))]
     first, last = int(rows[0]), int(rows[-1])
@@ -133,6 +134,7 @@ def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding) -> Anomaly:
         span_id=found.span_id,
         lat_deg=float(lat_deg) if np.isfinite(lat_deg) else None,
         lon_deg=float(lon_deg) if np.isfinite(lon_deg) else None,
+        priority=priority,
     )
 
 

@@ -88,6 +88,12 @@ def test_numbers_of_a_geojson_may_be_strings(tmp_path: Path) -> None:
     )
 
 
+def test_asset_ids_of_a_geojson_are_kept(tmp_path: Path) -> None:
+    text = feature([[5.0, 52.0], [5.0, 52.001]], mRID="_4f1c", assetId=1207)
+    (span,) = read(tmp_path, text, "a.geojson")
+    assert (span.asset_id, span.mrid) == ("1207", "_4f1c")
+
+
 def test_lines_of_one_feature_are_not_connected(tmp_path: Path) -> None:
     lines = [[[5.0, 52.0], [5.0, 52.001], [5.0, 52.002]], [[5.0, 52.003], [5.0, 52.004]]]
     spans = read(tmp_path, feature(lines, "MultiLineString", name="N", span_id="x"), "a.geojson")

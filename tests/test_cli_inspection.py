@@ -184,6 +184,9 @@ def test_check_reports_rules_that_could_not_judge(store: Store) -> None:
     done = CliRunner().invoke(cli.app, ["check", "--flight", blind[:8]])
     assert (done.exit_code, done.stdout) == (0, "1 flight passes\n")
     assert "conductor_gap: not judged on 3 of 3 spans: height above ground unknown" in done.stderr
+    (shown,) = rows("flights", "show", blind[:8])
+    assert shown["not_judged"] == ["conductor_gap: not judged on 3 of 3 spans: height above ground unknown"]
+    assert shown["not_judged"][0] in run("flights", "show", blind[:8])
     shares = (
         "SELECT share, covered_m AS covered, unknown_m = length_m AS is_unknown"
         " FROM span_coverage WHERE flight_id = ?"

@@ -66,11 +66,14 @@ def show(flight: FlightArgument, store: StoreOption = None, as_json: JsonOption 
     Examples:
       lsnet-pipe flights show 42c8f628
     """
+    from inspect_pipeline.index.check import rules_not_judged
     from inspect_pipeline.index.flights import describe_flights, find_flight
     from inspect_pipeline.store.images import source_path
 
     source = open_store(store)
-    (found,) = describe_flights(source, [find_flight(source, flight)])
+    flight_id = find_flight(source, flight)
+    (found,) = describe_flights(source, [flight_id])
+    found["not_judged"] = rules_not_judged(source, [flight_id]).get(flight_id, [])
     if as_json:
         typer.echo(json.dumps(found))
         return
@@ -132,8 +135,10 @@ def _join_tags(tags: Mapping[str, str]) -> str:
 
 
 def _to_text(value: Any) -> str:
-    if value is None:
+    if value is None or value == []:
         return "-"
+    if isinstance(value, list):
+        return "; ".join(value)
     if isinstance(value, float):
         return f"{value:,.3f}".rstrip("0").rstrip(".")
     return _join_tags(value) or "-" if isinstance(value, dict) else str(value)

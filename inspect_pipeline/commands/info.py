@@ -13,6 +13,7 @@ from inspect_pipeline.errors import printable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from inspect_pipeline.georeference.poses import PoseTrack
     from inspect_pipeline.recording.reader import Recording
 
 
@@ -83,12 +84,27 @@ def _describe_poses(recording: Recording) -> Iterator[str]:
         yield f"poses     {', '.join(f'{count:,} {what}' for what, count in counts.items() if count)}"
     for topic, reason in explain_unread_poses(recording).items():
         yield f"no pose   {topic}: {reason}"
+    missing = list(_missing_of(track))
     for camera in recording.camera_channels:
         lens = read_intrinsics(recording, camera)
-        if lens:
+        if not lens:
+            missing.append(f"lens of {camera.topic} unknown (--view)")
+        else:
             height, width = lens.image_size
             fx, fy = lens.focal_px
             yield f"lens      {camera.topic}: {width}x{height}, focal length {fx:.1f} x {fy:.1f} px"
+    if missing:
+        yield f"spans     cannot be judged: {', '.join(dict.fromkeys(missing))}"
+
+
+def _missing_of(track: PoseTrack) -> Iterator[str]:
+    """Yield what coverage and rules about spans need and the poses lack, with the option that gives it."""
+    if not len(track.positions.times_ns):
+        yield "position unknown"
+    elif not len(track.heights.times_ns):
+        yield "height above ground unknown (--ground-alt)"
+    if not len(track.camera.times_ns):
+        yield "camera attitude unknown"
 
 
 def _intention(recording: Recording) -> str:

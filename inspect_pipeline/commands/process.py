@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from inspect_pipeline.store.records import ProcessResult
+    from inspect_pipeline.store.store import Store
 
 _VIEWER_NOTE = (
     "note: viewers hide annotations at first; in the settings of the Image panel switch on the topics "
@@ -138,6 +139,7 @@ def process(
         )
     if results:
         publish(the_store)
+        _warn_about_spans(the_store, results)
     _print_results(results, as_json=as_json)
     has_new_annotations = any(result.annotated and result.status != "skipped" for result in results)
     if has_new_annotations and not as_json and sys.stderr.isatty():
@@ -197,6 +199,16 @@ def _warn_about(result: ProcessResult) -> None:
         warn(
             f"{result.source}: this result of {count_of(result.n_frames, 'frame')} replaces one of {replaced}"
         )
+
+
+def _warn_about_spans(store: Store, results: Sequence[ProcessResult]) -> None:
+    """Report which rules could not judge the spans that new flights passed."""
+    from inspect_pipeline.index.check import rules_not_judged
+
+    sources = {result.flight_id: result.source for result in results if result.status != "skipped"}
+    for flight_id, details in rules_not_judged(store, list(sources)).items():
+        for detail in details:
+            warn(f"{sources[flight_id]}: {detail}")
 
 
 def _print_results(results: Sequence[ProcessResult], *, as_json: bool) -> None:

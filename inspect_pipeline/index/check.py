@@ -72,6 +72,18 @@ def check_flights(
     ]
 
 
+def rules_not_judged(store: Store, flight_ids: Sequence[str]) -> dict[str, list[str]]:
+    """Return in words, by flight, which rules could not judge the spans it passed, and why; raises StoreError.
+
+    Flights whose spans were judged have no entry.
+    """
+    coverage, judgements = (select(store, sql, [list(flight_ids)]) for sql in (_COVERAGE, _JUDGEMENTS))
+    by_flight: dict[str, list[str]] = {}
+    for one in _not_judged(Inspected([], coverage, judgements), load_store_rules(store)):
+        by_flight.setdefault(one.flight_id, []).append(f"{one.rule}: {one.detail}")
+    return by_flight
+
+
 def _failed_anomalies(
     rows: Sequence[dict[str, Any]], dismissed: set[str], rules: Rules
 ) -> Iterator[FailedCheck]:

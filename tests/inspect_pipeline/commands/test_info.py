@@ -29,9 +29,10 @@ def test_poses_lenses_and_what_is_odd_are_shown(tmp_path: Path) -> None:
     app.command()(info)
 
     lines = CliRunner().invoke(app, [str(tmp_path / "a.mcap")]).stdout.splitlines()
-    assert lines[-5:] == [
+    assert lines[-6:] == [
         "poses     1 positions, 1 attitudes of the camera",
         f"lens      {CAMERA}: 16x12, focal length 20.0 x 21.0 px",
+        "spans     cannot be judged: height above ground unknown (--ground-alt)",
         "no camera /stereo/compressedDepth: it holds distances",
         "odd       its log times look like microseconds instead of nanoseconds",
         f"process   {CAMERA}",

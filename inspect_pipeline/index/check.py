@@ -73,9 +73,9 @@ def check_flights(
 
 
 def rules_not_judged(store: Store, flight_ids: Sequence[str]) -> dict[str, list[str]]:
-    """Return in words, by flight, which rules could not judge the spans it passed, and why; raises StoreError.
+    """Return in words, by flight, which rules could not judge the spans it passed, and why.
 
-    Flights whose spans were judged have no entry.
+    Flights whose spans were judged have no entry. Raises StoreError.
     """
     coverage, judgements = (select(store, sql, [list(flight_ids)]) for sql in (_COVERAGE, _JUDGEMENTS))
     by_flight: dict[str, list[str]] = {}

@@ -47,13 +47,8 @@ demo: $(INSTALLED)
 	@echo "index          demo/store/index.duckdb, for $(LSNET_PIPE) query \"...\" $(DEMO_STORE)"
 	@echo "picture        demo/overlay.png"
 
-# Trainings run in a process of their own: a worker that ends after OpenVINO has run can crash the process.
-TRAINING := tests/lsnet/training/test_trainer.py tests/test_cli_model.py
-
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -q -n auto --dist loadfile $(TRAINING:%=--ignore %)
-	$(BIN)/python -m pytest -q tests/lsnet/training/test_trainer.py
-	$(BIN)/python -m pytest -q tests/test_cli_model.py
+	$(BIN)/python -m pytest -q -n auto --dist loadfile
 
 attacks: $(INSTALLED)
 	$(BIN)/python tests/attacks/run.py --seed $(SEED)

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import copy
 import os
-import sys
 import warnings
 from functools import lru_cache
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -20,17 +18,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from lsnet.errors import LSNetError
 from lsnet.model import ConvNormAct, LSNet
 from lsnet.quantization import quantize_int8
+from lsnet.runtime_choice import choose_backend, import_openvino, openvino_core
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lsnet.arrays import ImageArray, Maps
-
-OPENVINO_MISSING = "OpenVINO is not installed; pip install 'lsnet-pipe[openvino]', or use the runtime torch"
-RUNTIMES = ("auto", "torch", "openvino", "openvino-bf16", "openvino-int8")
 
 
 class Backend(Protocol):
@@ -107,19 +102,14 @@ class OpenVinoBackend:
         Raises:
             LSNetError: OpenVINO, or NNCF for int8, is not installed.
         """
-        try:
-            ov = import_openvino()
-        except ImportError as err:
-            raise LSNetError(OPENVINO_MISSING) from err
         self.precision = precision
         self.threads = threads or len(os.sched_getaffinity(0))
-        self._core = ov.Core()
         example = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
         with warnings.catch_warnings():
             # The converter calls torch.jit.trace, which torch deprecates. torch.export gives the same
             # network bit for bit, but takes three times as long and warns too.
             warnings.simplefilter("ignore", DeprecationWarning)
-            self._model = ov.convert_model(InferenceModule(net).eval(), example_input=example)
+            self._model = import_openvino().convert_model(InferenceModule(net).eval(), example_input=example)
         if precision == "int8":
             self._model = quantize_int8(self._model)
         self._queue_of = lru_cache(maxsize=4)(self._compile)
@@ -143,7 +133,7 @@ class OpenVinoBackend:
             "NUM_STREAMS": str(self.threads),
             "INFERENCE_NUM_THREADS": str(self.threads),
         }
-        compiled = self._core.compile_model(model, "CPU", options)
+        compiled = openvino_core().compile_model(model, "CPU", options)
         queue = import_openvino().AsyncInferQueue(compiled, self.threads)
         queue.set_callback(_store_result)
         return queue
@@ -154,39 +144,11 @@ def _store_result(request: Any, place: tuple[list[Any], int]) -> None:
     results[i] = tuple(request.get_output_tensor(k).data[0].copy() for k in (0, 1))
 
 
-def import_openvino() -> Any:
-    """Import openvino without openvino_telemetry, which reports imports and conversions to its makers.
-
-    Raises:
-        ImportError: OpenVINO is not installed.
-    """
-    sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type] # as if not installed
-    import openvino  # noqa: PLC0415
-
-    return openvino
-
-
 def open_backend(net: LSNet, runtime: str) -> Backend:
-    """Open a backend by name.
-
-    `auto` is torch if there is a GPU, else OpenVINO if installed (in bf16 where the CPU supports it), else
-    torch.
+    """Open a backend by the name of a runtime, see `choose_backend`.
 
     Raises:
         LSNetError: The name is unknown, or the runtime is not installed.
     """
-    if runtime not in RUNTIMES:
-        raise LSNetError(f"no runtime {runtime!r}; choose one of {', '.join(RUNTIMES)}")
-    has_openvino = find_spec("openvino") is not None
-    if runtime.startswith("openvino") and not has_openvino:
-        raise LSNetError(OPENVINO_MISSING)
-    if runtime == "torch" or not has_openvino or (runtime == "auto" and torch.cuda.is_available()):
-        return TorchBackend(net)
-    return OpenVinoBackend(net, _precision_of(runtime))
-
-
-def _precision_of(runtime: str) -> str:
-    if runtime == "auto":
-        core = import_openvino().Core()
-        return "bf16" if "BF16" in core.get_property("CPU", "OPTIMIZATION_CAPABILITIES") else "f32"
-    return runtime.partition("-")[2] or "f32"
+    name, precision = choose_backend(runtime, has_gpu=torch.cuda.is_available())
+    return TorchBackend(net) if name == "torch" else OpenVinoBackend(net, precision)

@@ -10,7 +10,6 @@ import hashlib
 import json
 import textwrap
 from dataclasses import asdict, dataclass, field, fields
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from safetensors.torch import save as save_tensors
 
 from lsnet.errors import LSNetError
 from lsnet.model import LSNet, LSNetConfig
+from lsnet.pretrained import path_of, read_checksums
 
 FORMAT = 1
 HEADER_KEY = "lsnet"
@@ -100,14 +100,7 @@ class Weights:
 
 def list_weights() -> list[str]:
     """Return the names of the weights in the package."""
-    return sorted(_checksums())
-
-
-def _checksums() -> dict[str, str]:
-    """sha256 of the shipped weights, by name."""
-    text = resources.files("lsnet.pretrained").joinpath("sha256.json").read_text()
-    names: dict[str, str] = json.loads(text)
-    return names
+    return sorted(read_checksums())
 
 
 def save_weights(path: str | Path, net: LSNet, card: WeightsCard) -> str:
@@ -131,7 +124,7 @@ def load_weights(weights: str | Path) -> Weights:
     Raises:
         LSNetError: There are none of that name, or the file is damaged or of another version.
     """
-    checksums = _checksums()
+    checksums = read_checksums()
     path = _find(weights, checksums)
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
@@ -166,7 +159,7 @@ def _network_of(config: LSNetConfig, tensors: dict[str, torch.Tensor]) -> LSNet:
 
 def _find(weights: str | Path, checksums: dict[str, str]) -> Path:
     if str(weights) in checksums:
-        return Path(str(resources.files("lsnet.pretrained").joinpath(f"{weights}.safetensors")))
+        return path_of(str(weights))
     path = Path(weights)
     try:
         is_file = path.is_file()

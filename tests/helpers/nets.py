@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from lsnet.model import LSNet, LSNetConfig
-from lsnet.runtime import import_openvino
+from lsnet.runtime_choice import import_openvino
 from lsnet.weights import WeightsCard, save_weights
 
 if TYPE_CHECKING:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import importlib
 import sys
 from pathlib import Path
@@ -143,7 +145,7 @@ def test_conversion_to_openvino_does_not_warn(recwarn: pytest.WarningsRecorder) 
 
 def test_openvino_that_fails_to_import_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
-    monkeypatch.setattr("lsnet.runtime.find_spec", lambda _name: True)
+    monkeypatch.setattr("lsnet.runtime_choice.find_spec", lambda _name: True)
     with pytest.raises(LSNetError, match=r"OpenVINO is not installed; pip install 'lsnet-pipe\[openvino\]'"):
         open_backend(tiny_net(), "openvino")
 
@@ -155,8 +157,24 @@ def test_runtimes_by_name() -> None:
 
 
 def test_missing_openvino_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lsnet.runtime.find_spec", lambda _name: None)
+    monkeypatch.setattr("lsnet.runtime_choice.find_spec", lambda _name: None)
     assert open_backend(tiny_net(), "auto").name == "torch"
     for name in ("openvino", "openvino-bf16", "openvino-int8"):
         with pytest.raises(LSNetError, match=r"pip install 'lsnet-pipe\[openvino\]'"):
             open_backend(tiny_net(), name)
+
+
+def test_backends_that_end_leave_a_stack_for_signal_handlers() -> None:
+    """Python handles signals on the alternate stack of the thread; one that is not mapped is a crash."""
+    openvino_or_skip()
+    backends = [OpenVinoBackend(tiny_net()) for _ in range(2)]
+    for backend in backends:
+        backend.run([photo(32, 32)])
+    del backend
+    while backends:  # in the order in which they began
+        backends.pop(0)
+        gc.collect()
+    stack = (ctypes.c_size_t * 3)()  # ss_sp, ss_flags, ss_size
+    assert ctypes.CDLL(None).sigaltstack(None, stack) == 0
+    maps = [line.split()[0].split("-") for line in Path("/proc/self/maps").read_text().splitlines()]
+    assert any(int(start, 16) <= stack[0] < int(end, 16) for start, end in maps)

@@ -212,7 +212,7 @@ def test_shipped_weights_are_what_was_recorded() -> None:
 
 
 def test_shipped_weights_that_changed_are_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(weights, "_checksums", lambda: {"tiny": "0" * 64})
-    monkeypatch.setattr(weights.resources, "files", lambda _package: saved.parent)
+    monkeypatch.setattr(weights, "read_checksums", lambda: {"tiny": "0" * 64})
+    monkeypatch.setattr(weights, "path_of", lambda _name: saved)
     with pytest.raises(LSNetError, match="damaged"):
         load_weights("tiny")

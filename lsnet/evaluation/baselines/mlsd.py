@@ -13,7 +13,7 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.evaluation.baselines.lengths import by_length
-from lsnet.runtime import OPENVINO_MISSING, import_openvino
+from lsnet.runtime_choice import openvino_core
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,12 +33,9 @@ class MLSD:
 
     def __init__(self, path: Path) -> None:
         """Load the file. Raises LSNetError when it cannot be read or OpenVINO is not installed."""
+        core, options = openvino_core(), {"INFERENCE_PRECISION_HINT": "f32"}
         try:
-            ov = import_openvino()
-        except ImportError as err:
-            raise LSNetError(OPENVINO_MISSING) from err
-        try:
-            self._model = ov.Core().compile_model(str(path), "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+            self._model = core.compile_model(str(path), "CPU", options)
         except RuntimeError as err:
             raise LSNetError(f"{path}: not a network OpenVINO can read; give M-LSD's .tflite") from err
         self._side = int(self._model.input(0).shape[1])

@@ -32,6 +32,7 @@ from inspection_cases import Case, Outcome, put_recording, run_case
 from inspection_truth import ABOUT_CONDUCTORS, COVERAGES, KINDS
 
 from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.simulation.options import FaultKind, FlightKind
 from inspect_pipeline.store.store import Store
 
@@ -106,7 +107,7 @@ def real_flights() -> dict[str, dict[str, int]] | None:
             store = Store(Path(scratch))
             put_recording(Path(folder) / "data" / "mcap" / f"{name}.mcap", store)
             index.publish(store)
-            rows = index.select(store, "SELECT kind, count(*) AS n FROM anomalies GROUP BY kind")
+            rows = select(store, "SELECT kind, count(*) AS n FROM anomalies GROUP BY kind")
         found[name] = {row["kind"]: row["n"] for row in rows}
     return found
 

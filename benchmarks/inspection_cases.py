@@ -15,6 +15,7 @@ from inspection_truth import coverage_errors, match, true_coverage
 
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
@@ -117,6 +118,6 @@ def _inspect(store: Store, truth: FlightTruth) -> dict[str, Any]:
     """The rows of anomalies and coverage that the index has of a flight, its spans known."""
     import_spans(store, inspected.spans_of(truth))
     index.publish(store)
-    anomalies = index.select(store, "SELECT kind, start_ns, end_ns FROM anomalies ORDER BY ALL")
-    coverage = index.select(store, "SELECT kind, unit, span_id, share FROM coverage WHERE channel_id IS NULL")
+    anomalies = select(store, "SELECT kind, start_ns, end_ns FROM anomalies ORDER BY ALL")
+    coverage = select(store, "SELECT kind, unit, span_id, share FROM coverage WHERE channel_id IS NULL")
     return {"anomalies": anomalies, "coverage": coverage}

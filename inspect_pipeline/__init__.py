@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from inspect_pipeline.config import PlacingOptions, ProcessOptions
     from inspect_pipeline.errors import InspectError
-    from inspect_pipeline.index.publish import publish
     from inspect_pipeline.index.query import query
     from inspect_pipeline.pipeline import process
+    from inspect_pipeline.publishing import publish
     from inspect_pipeline.recording.frames import iter_frames
     from inspect_pipeline.recording.reader import open_recording
     from inspect_pipeline.simulation.options import SimulationOptions
@@ -47,7 +47,7 @@ _PLACES = {
     "iter_frames": "recording.frames.iter_frames",
     "open_recording": "recording.reader.open_recording",
     "process": "pipeline.process",
-    "publish": "index.publish.publish",
+    "publish": "publishing.publish",
     "query": "index.query.query",
     "simulate": "simulation.write.simulate_flight",
 }

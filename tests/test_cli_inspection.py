@@ -19,6 +19,7 @@ import cli
 from inspect_pipeline.errors import QueryError, StoreError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.named_queries import named_queries
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth
@@ -73,11 +74,11 @@ def import_towers(store: Store, folder: Path) -> None:
 
 def test_importing_spans_measures_all_flights_again(store: Store, tmp_path: Path) -> None:
     """The spans' coverage is that of the truth, within the metre of a bin; the missing conductor is found."""
-    assert not index.select(store, "SELECT * FROM span_coverage")
+    assert not select(store, "SELECT * FROM span_coverage")
     assert {row["kind"] for row in rows("anomalies", "list")} == {"dark_frames"}
     import_towers(store, tmp_path)
     assert [row["span_id"] for row in rows("spans", "list")] == [span.span_id for span in TRUTH.spans]
-    found = index.select(store, "SELECT span_id, share FROM span_coverage WHERE flight_id = ?", [FAULTY])
+    found = select(store, "SELECT span_id, share FROM span_coverage WHERE flight_id = ?", [FAULTY])
     assert len(found) >= 3
     for row in found:
         assert row["share"] == pytest.approx(TRUTH.span_coverage[row["span_id"]], abs=0.03)
@@ -116,9 +117,9 @@ def test_a_review_lasts_and_settles_the_check(store: Store) -> None:
     inspected.write_truth(store, "faulty", TRUTH, np.random.default_rng(5))  # by another model, as it were
     index.publish(store)
     reviewed = "SELECT verdict, note FROM reviewed_anomalies WHERE anomaly_id = ?"
-    assert index.select(store, reviewed, [odd]) == [{"verdict": "dismissed", "note": "it ends here"}]
+    assert select(store, reviewed, [odd]) == [{"verdict": "dismissed", "note": "it ends here"}]
     index.rebuild(store)
-    assert index.select(store, reviewed, [odd]) == [{"verdict": "dismissed", "note": "it ends here"}]
+    assert select(store, reviewed, [odd]) == [{"verdict": "dismissed", "note": "it ends here"}]
     run("anomalies", "mark", odd, "confirmed")
     assert [(one.anomaly_id, one.verdict) for one in load_reviews(store)] == [(odd, "confirmed")]
     assert "conductor_count" in {row["rule"] for row in rows("check", code=4)}
@@ -191,7 +192,7 @@ def test_check_reports_rules_that_could_not_judge(store: Store) -> None:
         "SELECT share, covered_m AS covered, unknown_m = length_m AS is_unknown"
         " FROM span_coverage WHERE flight_id = ?"
     )
-    for row in index.select(store, shares, [blind]):
+    for row in select(store, shares, [blind]):
         assert (row["share"], row["covered"], row["is_unknown"]) == (None, None, True)
     with (store.root / "rules.toml").open("a") as file:
         file.write("fail_on_not_judged = true\n")
@@ -200,12 +201,12 @@ def test_check_reports_rules_that_could_not_judge(store: Store) -> None:
 
 
 def test_rules_of_the_store_are_those_of_the_index(store: Store) -> None:
-    before = index.select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
+    before = select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
     (store.root / "rules.toml").write_text("[frames]\ndark_below_luma = 1.0\n")
     assert any("rules" in problem for problem in index.verify(store))
     index.publish(store)
     assert before
-    assert not index.select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
+    assert not select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
     assert index.verify(store) == ()
 
 
@@ -216,7 +217,7 @@ def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
     (told,) = rows("flights", "show", FAULTY[:9])
     assert (told["flight_id"], told["tags"], told["n_frames"]) == (FAULTY, {"line": "L12"}, 64)
     assert "line=L12" in run("flights", "list")
-    assert index.select(store, "SELECT * FROM flight_tags") == [
+    assert select(store, "SELECT * FROM flight_tags") == [
         {"flight_id": FAULTY, "key": "line", "value": "L12"}
     ]
     assert run("flights", "rm", FAULTY) == f"{FAULTY} removed\n"
@@ -224,7 +225,7 @@ def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
     assert len(rows("flights", "list")) == 2
     assert index.verify(store) == ()
     for table in ("coverage", "coverage_bins", "coverage_gaps", "anomalies", "conductor_counts"):
-        assert not index.select(store, f"SELECT * FROM {table} WHERE flight_id = ?", [FAULTY])
+        assert not select(store, f"SELECT * FROM {table} WHERE flight_id = ?", [FAULTY])
     run("flights", "tag", made.flight_id_of("old"), "nothing", code=2)
     for beginning, words in (("zz", "no flight begins"), ("0123456789ab", "no flight begins")):
         with pytest.raises(QueryError, match=words):

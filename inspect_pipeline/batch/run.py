@@ -23,7 +23,7 @@ from inspect_pipeline.batch.stop_request import StopRequest
 from inspect_pipeline.batch.worker import WorkerFailure
 from inspect_pipeline.config import start_described_run
 from inspect_pipeline.errors import InspectError, StoreError
-from inspect_pipeline.index.publish import publish
+from inspect_pipeline.publishing import publish
 from inspect_pipeline.store.records import ANNOTATED
 from inspect_pipeline.store.runs import Counts, RunSummary, save_run
 

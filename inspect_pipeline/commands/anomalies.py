@@ -86,7 +86,7 @@ def mark(
       lsnet-pipe anomalies mark 0a1b2c open --by kim
     """
     from inspect_pipeline.index.anomalies import find_anomaly
-    from inspect_pipeline.index.publish import publish
+    from inspect_pipeline.publishing import publish
     from inspect_pipeline.store.feedback import add_review
 
     target = open_store(store)

@@ -44,7 +44,7 @@ def check(
     """
     from inspect_pipeline.index.check import check_flights
     from inspect_pipeline.index.flights import find_flights
-    from inspect_pipeline.index.publish import select
+    from inspect_pipeline.index.reading import select
 
     source = open_store(store)
     every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"

@@ -93,7 +93,7 @@ def rm(flight: FlightArgument, store: StoreOption = None) -> None:
       lsnet-pipe flights rm 42c8f628261a909a
     """
     from inspect_pipeline.index.flights import find_flight
-    from inspect_pipeline.index.publish import publish
+    from inspect_pipeline.publishing import publish
 
     target = open_store(store)
     flight_id = find_flight(target, flight)
@@ -116,7 +116,7 @@ def tag(
       lsnet-pipe flights tag 42c8f628 pilot=
     """
     from inspect_pipeline.index.flights import find_flight
-    from inspect_pipeline.index.publish import publish
+    from inspect_pipeline.publishing import publish
     from inspect_pipeline.store.feedback import add_tag
 
     pairs = [one.partition("=") for one in tags]

@@ -16,7 +16,7 @@ app = typer.Typer(
 
 @app.command()
 def rebuild(store: StoreOption = None) -> None:
-    """Rebuild the index from the flights.
+    """Rebuild the index from the flights, and the files made from it.
 
     Queries use the old index until the new one is complete.
 
@@ -24,9 +24,9 @@ def rebuild(store: StoreOption = None) -> None:
     Examples:
       lsnet-pipe index rebuild --store /data/inspections
     """
-    from inspect_pipeline.index import publish
+    from inspect_pipeline.publishing import rebuild as rebuild_store
 
-    change = publish.rebuild(open_store(store))
+    change = rebuild_store(open_store(store))
     for folder, problem in change.damaged:
         warn(f"{folder}: left out: {problem}")
     print_line(count_of(change.n_flights, "flight"))

@@ -63,7 +63,7 @@ def overlay(
 def _find_evidence(store: Store, beginning: str) -> tuple[str, int, str]:
     """Return flight_id, frame_idx and topic of the first evidence frame of an anomaly."""
     from inspect_pipeline.index.anomalies import find_anomaly
-    from inspect_pipeline.index.publish import select
+    from inspect_pipeline.index.reading import select
 
     anomaly = find_anomaly(store, beginning)
     key = [anomaly["flight_id"], anomaly["channel_id"]]

@@ -114,7 +114,7 @@ def process(
         raise typer.Exit(exit_code)
 
     from inspect_pipeline import pipeline
-    from inspect_pipeline.index.publish import publish
+    from inspect_pipeline.publishing import publish
 
     detector = LateDetector(weights, runtime, scale, min_score)
     run = start_described_run(detector.describe(), options, "process", {})

@@ -41,9 +41,10 @@ def import_file(
     Examples:
       lsnet-pipe spans import towers.csv --conductors 4
     """
-    from inspect_pipeline.index.publish import publish, select
+    from inspect_pipeline.index.reading import select
     from inspect_pipeline.inspection.span_files import read_spans
     from inspect_pipeline.inspection.spans import describe_extent, import_spans
+    from inspect_pipeline.publishing import publish
 
     target = open_store(store, create=True)
     spans = read_spans(file, conductors)

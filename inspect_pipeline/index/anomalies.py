@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.errors import AmbiguousIdError, UnknownIdError
-from inspect_pipeline.index.publish import select
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.store.feedback import load_reviews
 
 if TYPE_CHECKING:

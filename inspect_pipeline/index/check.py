@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from inspect_pipeline.index.derived import Inspected, load_store_rules
-from inspect_pipeline.index.publish import inspect_again, select
+from inspect_pipeline.index.publish import inspect_again
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.store.feedback import load_reviews
 

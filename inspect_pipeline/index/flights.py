@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.errors import AmbiguousIdError, UnknownIdError
-from inspect_pipeline.index.publish import select
+from inspect_pipeline.index.reading import select
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,6 @@ source of truth: an index that is missing, corrupt or behind is brought up to da
 from __future__ import annotations
 
 import shutil
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ import duckdb
 from inspect_pipeline.atomic import fsync_path, store_errors
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.index.derived import input_digests, insert_records, inspect_flights, refresh
+from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.index.rows import (
     compare_checksums,
     compare_rows,
@@ -41,7 +41,7 @@ from inspect_pipeline.store.runs import load_runs, run_rows
 from inspect_pipeline.store.store import as_store
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from inspect_pipeline.index.derived import Inspected
@@ -98,35 +98,10 @@ def published_flights(store: Store) -> dict[str, str]:
     return _published(store.index_path) or {}
 
 
-def select(store: Store, sql: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
-    """Return the rows of one of this program's own statements as dicts; users' SQL goes to query.py.
-
-    Raises StoreError when there is no index, or it cannot be read.
-    """
-    with _reading(store) as connection:
-        cursor = connection.execute(sql, list(values))
-        names = [column[0] for column in cursor.description or ()]
-        return [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
-
-
 def inspect_again(store: Store, flight_ids: Sequence[str], rules: Rules) -> Inspected:
     """Return anomalies and coverage of flights by other rules, as rows of the tables; raises StoreError."""
-    with _reading(store) as connection:
-        return inspect_flights(connection, store, flight_ids, rules)
-
-
-@contextmanager
-def _reading(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
-    path = store.index_path
-    if not path.exists():
-        raise StoreError(store.root, "there is no index", "run lsnet-pipe process first")
-    try:
-        with duckdb.connect(path, read_only=True, config=CONFIG) as connection:
-            if count_migrations(connection) != len(MIGRATIONS):
-                raise StoreVersionError(path, "the index is of another version", REBUILD)
-            yield connection
-    except DATABASE_ERRORS as error:
-        raise index_error(path, error) from error
+    with open_index(store) as index:
+        return inspect_flights(index.connection, store, flight_ids, rules)
 
 
 def verify(store: Store | Path | str) -> tuple[str, ...]:

@@ -6,13 +6,15 @@ import errno
 import os
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, Literal, NamedTuple, cast
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline.atomic import appearing
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
     from inspect_pipeline.geometry.attitude import Quaternion
 
 
+LogLevel = Literal["INFO", "WARNING", "ERROR"]
+
+
 class MessageSchema(NamedTuple):
     """The name, encoding and definition of a schema, and the encoding of its messages."""
 
@@ -41,12 +46,13 @@ class MessageSchema(NamedTuple):
 
 
 @contextmanager
-def new_recording(target: Path, profile: str = "") -> Iterator[RecordingAuthor]:
-    """Write a recording to `target`, which must not exist; it appears on a clean exit, complete.
+def new_recording(target: Path, profile: str = "", *, replace: bool = False) -> Iterator[RecordingAuthor]:
+    """Write a recording to `target`; it appears on a clean exit, complete.
 
-    `profile` is that of its header, such as "ros2". Raises OSError when the target cannot be written.
+    `profile` is that of its header, such as "ros2". Raises OSError when the target cannot be written, or
+    exists and is not to be replaced.
     """
-    if target.exists():
+    if not replace and target.exists():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
     with appearing(target) as path, path.open("wb") as file:
         # Without summary offsets: the package writes empty groups, which `mcap doctor` reports as errors.
@@ -154,6 +160,16 @@ class RecordingAuthor:
             R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
             P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
         )
+        message.timestamp.FromNanoseconds(time_ns)
+        self._write(topic, time_ns, message)
+
+    def write_geojson(self, topic: str, time_ns: int, text: str) -> None:
+        """Append a map as foxglove.GeoJSON."""
+        self._write(topic, time_ns, GeoJSON(geojson=text))
+
+    def write_log(self, topic: str, time_ns: int, level: LogLevel, name: str, text: str) -> None:
+        """Append a line of a log as foxglove.Log; `name` is that of what it comes from."""
+        message = Log(level=Log.Level.Value(level), name=name, message=text)
         message.timestamp.FromNanoseconds(time_ns)
         self._write(topic, time_ns, message)
 

@@ -16,6 +16,7 @@ import inspected
 
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index import query_child
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth
@@ -38,7 +39,7 @@ def make_store(folder: Path) -> Store:
     add_tag(store, monday_id, "line", "L12")
     index.publish(store)
     odd = "SELECT * FROM anomalies WHERE kind = 'blurred_frames' ORDER BY start_ns LIMIT 1"
-    add_review(store, index.select(store, odd)[0], "dismissed", "dust on the lens")
+    add_review(store, select(store, odd)[0], "dismissed", "dust on the lens")
     index.publish(store)
     return store
 

@@ -8,7 +8,8 @@ import inspected
 import numpy as np
 import pytest
 
-from inspect_pipeline.index.publish import publish, select
+from inspect_pipeline.index.publish import publish
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.simulation.options import SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth

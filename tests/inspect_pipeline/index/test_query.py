@@ -27,6 +27,7 @@ from inspect_pipeline.index import publish as index
 from inspect_pipeline.index import query_child
 from inspect_pipeline.index.query import QueryLimits, run_query
 from inspect_pipeline.index.query import query as query_rows
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.resources import MIGRATIONS
 from inspect_pipeline.store.store import Store
 
@@ -195,7 +196,7 @@ def test_an_index_that_another_program_writes_to(store: Store) -> None:
         assert holder.stdout is not None
         holder.stdout.readline()
         words = "another program has it open for writing; close it"
-        for action in (lambda: query_rows(store, "SELECT 1"), lambda: index.select(store, "SELECT 1")):
+        for action in (lambda: query_rows(store, "SELECT 1"), lambda: select(store, "SELECT 1")):
             with pytest.raises(StoreError, match=words):
                 action()
         with pytest.raises(StoreError, match=words):

@@ -12,6 +12,7 @@ from inspect_rows import flight, rules, span
 
 from inspect_pipeline.errors import RulesError
 from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.anomalies.find import Reviewed, find_anomalies, with_ids
 from inspect_pipeline.inspection.rows import CameraRows, LineRows
 from inspect_pipeline.inspection.rules import load_rules
@@ -228,4 +229,4 @@ def published(folder: Path, truth: object, rng: np.random.Generator) -> list[dic
     inspected.write_truth(store, "flight", truth, rng)
     import_spans(store, inspected.spans_of(truth))
     index.publish(store)
-    return index.select(store, "SELECT * FROM anomalies ORDER BY start_ns")
+    return select(store, "SELECT * FROM anomalies ORDER BY start_ns")

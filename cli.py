@@ -25,6 +25,7 @@ from inspect_pipeline.commands import (
     process,
     quarantine,
     query,
+    report,
     runs,
     schedule,
     simulate,
@@ -49,6 +50,7 @@ app.command()(check.check)
 app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)
+app.command()(report.report)
 app.command()(pack.pack)
 app.command()(simulate.simulate)
 app.command()(doctor.doctor)

@@ -33,6 +33,7 @@ COMMANDS = (
     "spans",
     "anomalies",
     "check",
+    "report",
     "flights",
 )
 

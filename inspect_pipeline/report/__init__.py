@@ -1,0 +1,1 @@
+"""Reports of flights and of stores: one self-contained page each."""

@@ -6,7 +6,7 @@ import hashlib
 import json
 import platform
 import uuid
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -57,6 +57,8 @@ class ProcessOptions:
         schema: message format of the annotations; by default ROS 2 messages in ROS 2 bags, else protobuf.
         placing: georeferencing inputs that the recording lacks.
         allow_empty: let a result without decoded frames replace one with some.
+        signals: numbers of other topics to index with each frame: names, and paths such as
+            "/battery.percentage".
     """
 
     topics: tuple[str, ...] | None = None
@@ -69,6 +71,7 @@ class ProcessOptions:
     schema: SchemaName = "auto"
     placing: PlacingOptions = PlacingOptions()
     allow_empty: bool = False
+    signals: Mapping[str, str] = field(default_factory=dict)
 
 
 DEFAULT_OPTIONS = ProcessOptions()
@@ -106,6 +109,7 @@ def start_described_run(
         "write": options.write,
         "schema": options.schema,
         "result_version": RESULT_VERSION,
+        **({"signals": dict(options.signals)} if options.signals else {}),  # as older versions without
     }
     return RunRecord(
         run_id=str(uuid.uuid4()),

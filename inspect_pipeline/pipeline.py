@@ -1,7 +1,7 @@
 """The path of a recording: read, detect, track, write annotations and rows.
 
 recording ── iter_frames ── detect_frames ── FlightTracker ──┬── annotated.mcap, or annotations.mcap
-                                                             └── frames, segments, lines, tracks.parquet
+                                                             └── rows of frames, lines, tracks, … in parquet
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator,
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
 from inspect_pipeline.detection import DecodeCounts, detect_frames
 from inspect_pipeline.errors import EmptyResultError
+from inspect_pipeline.georeference.signals import read_signals
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
 from inspect_pipeline.recording.frames import iter_frames
@@ -144,6 +145,7 @@ def _write_flight(
     model = model_record(detector)
     from inspect_pipeline.georeference.frames import Georeferencer  # noqa: PLC0415 - SciPy, half a second
 
+    signals = read_signals(recording, options.signals)
     georeferencer = Georeferencer.of(recording, cameras, options.placing)
     tracker = FlightTracker()
     frames = iter_frames(
@@ -173,11 +175,13 @@ def _write_flight(
                 sharpness=each.quality.sharpness if each.quality else None,
                 mean_luma=each.quality.mean_luma if each.quality else None,
                 place=pose,
+                signals=signals.at(each.frame.log_time_ns),
             )
             decoded.add(each.frame)
             on_progress(Progress(n_frames, n_expected))
         totals = tables.finish(tracker.finish())
-    lost = (*recording.losses, *recording.identity.losses, *frames.losses, *georeferencer.poses.losses)
+    lost = (*recording.losses, *recording.identity.losses, *frames.losses)
+    lost = (*lost, *georeferencer.poses.losses, *signals.losses)
     losses = tuple(dict.fromkeys((*lost, *(out.losses if out else ()))))
     status: Status = "failed" if decoded.failures else "recovered" if losses else "ok"
     return FlightRecord(
@@ -190,6 +194,7 @@ def _write_flight(
             *recording.warnings,
             *frames.warnings,
             *decoded.warnings,
+            *signals.warnings,
             *_format_warnings(recording, options),
         ),
         annotations=_ANNOTATION_FILES[options.write],

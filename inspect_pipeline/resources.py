@@ -15,6 +15,7 @@ MIGRATIONS = (
     "0005_reviewers.sql",
     "0006_judgements.sql",
     "0007_priorities.sql",
+    "0008_signals.sql",
 )
 
 

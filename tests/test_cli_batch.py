@@ -155,6 +155,8 @@ def test_every_option_can_be_in_the_file(
         metrics = "lsnet.prom"
         on-finish = "true"
         log-format = "json"
+        [signals]
+        battery = "/battery.percentage"
         """
     )
     named = set(tomllib.loads((tmp_path / "night.toml").read_text()))

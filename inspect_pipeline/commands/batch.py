@@ -18,6 +18,7 @@ from inspect_pipeline.commands.options import (
     RuntimeOption,
     ScaleOption,
     SchemaOption,
+    SignalsOption,
     StoreOption,
     StrictOption,
     TopicOption,
@@ -95,6 +96,7 @@ def batch(
     dem: DemOption = None,
     view: ViewOption = None,
     wire: WireOption = 22.0,
+    signals: SignalsOption = None,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
     scale: ScaleOption = None,
@@ -151,6 +153,7 @@ def batch(
         write=write,
         schema=schema,
         placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
+        signals=dict(item.split("=", 1) for item in signals or ()),
     )
     job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score, runtime))
     options = BatchOptions(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -57,6 +58,13 @@ def open_store(option: Path | None, *, create: bool = False) -> Store:
     if not create and not store.root.exists():
         raise StoreError(store.root, "there is no store", "check the name, or run lsnet-pipe process first")
     return store
+
+
+def _parse_signal(text: str) -> str:
+    name, _, path = text.partition("=")
+    if not (re.fullmatch(r"[A-Za-z_]\w*", name) and path):
+        raise typer.BadParameter(f"{text!r} is not of the form NAME=PATH, as in battery=/battery.percentage")
+    return text
 
 
 def check_suffix(path: Path, known: tuple[str, ...]) -> None:
@@ -145,6 +153,15 @@ WireOption = Annotated[
     float,
     typer.Option(
         "--wire", min=0.1, callback=finite, metavar="MM", help="Diameter of a conductor, for its width in px."
+    ),
+]
+SignalsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--signals",
+        parser=_parse_signal,
+        metavar="NAME=PATH",
+        help="Number to index with each frame, as in battery=/battery.percentage; may be repeated.",
     ),
 ]
 FlightOption = Annotated[

@@ -48,6 +48,8 @@ def _plain(value: Any) -> Any:
     """Return a TOML value as the command line would give it."""
     if isinstance(value, list):
         return [_plain(item) for item in value]
+    if isinstance(value, dict):  # a table, such as [tag] or [signals]
+        return [f"{key}={_plain(item)}" for key, item in value.items()]
     return value if isinstance(value, bool) else str(value)
 
 

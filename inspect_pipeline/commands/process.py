@@ -20,6 +20,7 @@ from inspect_pipeline.commands.options import (
     RuntimeOption,
     ScaleOption,
     SchemaOption,
+    SignalsOption,
     StoreOption,
     StrictOption,
     TopicOption,
@@ -74,6 +75,7 @@ def process(
     dem: DemOption = None,
     view: ViewOption = None,
     wire: WireOption = 22.0,
+    signals: SignalsOption = None,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
     scale: ScaleOption = None,
@@ -107,6 +109,7 @@ def process(
         schema=schema,
         placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
         allow_empty=yes,
+        signals=dict(item.split("=", 1) for item in signals or ()),
     )
     the_store = open_store(store, create=True)
     existing, exit_code = existing_files(files)

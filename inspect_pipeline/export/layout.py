@@ -28,9 +28,7 @@ _PLOTTED = {  # colour of each number that a plot shows at first; None for those
 }
 
 
-def make_layout(
-    topics: Sequence[str], signals: Sequence[str] = (), *, has_map: bool = True
-) -> dict[str, Any]:
+def make_layout(topics: Sequence[str], signals: Sequence[str], *, has_map: bool = True) -> dict[str, Any]:
     """Return the layout as viewers import it from a JSON file.
 
     Args:

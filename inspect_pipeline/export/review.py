@@ -41,7 +41,7 @@ _VERDICTS: dict[str, tuple[str, LogLevel]] = {
 }
 _MAX_PIECES = 1000  # of a track: viewers draw each by itself
 _WHOLE = 0.95  # share of a span from which on it is shown as covered
-_NOT_NUMBERS = ("channel_id", "log_time_ns", "status", "lat_deg", "lon_deg")
+_NOT_NUMBERS = ("channel_id", "log_time_ns", "status", "lat_deg", "lon_deg", "signals")
 _FLIGHT = """
 SELECT coalesce(start_ns, 0) AS start_ns, n_frames,
        (SELECT list({'channel_id': channel_id, 'topic': topic} ORDER BY channel_id)
@@ -130,6 +130,8 @@ def _piece_events(piece: list[Row], following: list[Row], topic: str) -> Iterato
         numbers = {
             name: value for name, value in row.items() if value is not None and name not in _NOT_NUMBERS
         }
+        if row["signals"]:
+            numbers["signals"] = {one["name"]: one["value"] for one in row["signals"]}
         yield _Event(row["log_time_ns"], f"{topic}{NUMBERS_SUFFIX}", numbers)
 
 

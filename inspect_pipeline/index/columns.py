@@ -12,7 +12,7 @@ from inspect_pipeline.georeference.frames import FramePose
 from inspect_pipeline.tracking.tracker import TrackRow
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -58,6 +58,14 @@ class FoundLines(NamedTuple):
     frame_idx: int
     lines: Lines
     track_ids: Ints32
+
+
+class FoundSignals(NamedTuple):
+    """The signals of a frame by their names, None where not known."""
+
+    channel_id: int
+    frame_idx: int
+    values: Mapping[str, float | None]
 
 
 def frame_columns(rows: Sequence[tuple[Any, ...]], places: Sequence[FramePose]) -> Columns:
@@ -114,6 +122,16 @@ def line_columns(batches: Sequence[FoundLines]) -> tuple[Columns, Columns]:
         "y": flat[:, 1].copy(),
     }
     return line_rows, point_rows
+
+
+def signal_columns(batches: Sequence[FoundSignals]) -> Columns:
+    """Return one row per frame and signal, in order."""
+    return {
+        "channel_id": np.array([batch.channel_id for batch in batches for _ in batch.values]),
+        "frame_idx": np.array([batch.frame_idx for batch in batches for _ in batch.values]),
+        "name": np.array([name for batch in batches for name in batch.values], object),
+        "value": _column([value for batch in batches for value in batch.values.values()], np.float64),
+    }
 
 
 def track_columns(tracks: Sequence[tuple[int, TrackRow]]) -> Columns:

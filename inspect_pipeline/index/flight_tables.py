@@ -1,6 +1,6 @@
 """The writer of the rows of one flight, frame by frame.
 
-The rows become frames, segments, lines and tracks.parquet. They wait in NumPy columns,
+The rows become frames, segments, lines, tracks and signals.parquet. They wait in NumPy columns,
 then in an in-memory DuckDB that spills into the flight's folder, so memory stays bounded however many
 segments a flight has.
 """
@@ -8,6 +8,7 @@ segments a flight has.
 from __future__ import annotations
 
 from functools import cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import duckdb
@@ -19,16 +20,18 @@ from inspect_pipeline.index.columns import (
     NULLABLE_FLOATS,
     FoundLines,
     FoundSegments,
+    FoundSignals,
     frame_columns,
     line_columns,
     segment_columns,
+    signal_columns,
     track_columns,
 )
 from inspect_pipeline.index.schema import create_tables
 from inspect_pipeline.store.records import FlightTotals
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -38,10 +41,11 @@ if TYPE_CHECKING:
     from inspect_pipeline.tracking.tracker import TrackRow
     from lsnet.segments import Detections
 
-ROW_TABLES = ("frames", "segments", "lines", "tracks")
+ROW_TABLES = ("frames", "segments", "lines", "tracks", "signals")
 
 _FLUSH_ROWS = 65_536
 _NOWHERE = FramePose()
+_NO_SIGNALS: Mapping[str, float | None] = MappingProxyType({})
 _CONFIG: dict[str, str | bool | int | float | list[str]] = {
     "memory_limit": "96MB",
     "threads": "1",
@@ -82,6 +86,10 @@ SELECT count(*), count(*) FILTER (status = 'bad'), coalesce(sum(n_segments), 0):
 FROM frames
 """
 _INSERT_TRACKS = "INSERT INTO tracks BY NAME SELECT $flight_id AS flight_id, * FROM track_rows"
+_INSERT_SIGNALS = """
+INSERT INTO signals BY NAME
+SELECT $flight_id AS flight_id, * REPLACE (if(isnan(value), NULL, value) AS value) FROM signal_rows
+"""
 _DROP_LINES_OF_OTHER_TRACKS = """
 UPDATE lines SET track_id = NULL
 WHERE (channel_id, track_id) NOT IN (SELECT (channel_id, track_id) FROM tracks)
@@ -110,6 +118,7 @@ class FlightWriter:
         self._places: list[FramePose] = []
         self._segments: list[FoundSegments] = []
         self._lines: list[FoundLines] = []
+        self._signals: list[FoundSignals] = []
         self._n_waiting = 0
         self._connection = duckdb.connect(
             ":memory:", config=_CONFIG | {"temp_directory": str(folder / "spill")}
@@ -135,6 +144,7 @@ class FlightWriter:
         sharpness: float | None = None,
         mean_luma: float | None = None,
         place: FramePose = _NOWHERE,
+        signals: Mapping[str, float | None] = _NO_SIGNALS,
     ) -> None:
         """Add a frame with its detections in source pixels, or a bad frame with None.
 
@@ -146,6 +156,7 @@ class FlightWriter:
             sharpness: Variance of the Laplacian of the luma.
             mean_luma: 0 to 255.
             place: Position and attitude of the camera.
+            signals: The numbers of other topics at its time, by their names.
 
         Raises:
             ValueError: Unless exactly one of `detections` and `frame.error` is given.
@@ -168,7 +179,9 @@ class FlightWriter:
         if detections and n_lines:
             track_ids = np.full(n_lines, -1, np.int32) if track_ids is None else track_ids
             self._lines.append(FoundLines(*identity, detections.lines, track_ids))
-        self._n_waiting += 1 + n_segments + n_lines
+        if signals:
+            self._signals.append(FoundSignals(*identity, signals))
+        self._n_waiting += 1 + n_segments + n_lines + len(signals)
         if self._n_waiting >= _FLUSH_ROWS:
             self._flush()
 
@@ -200,7 +213,10 @@ class FlightWriter:
         if self._lines:
             line_rows, point_rows = line_columns(self._lines)
             self._insert(_INSERT_LINES, line_rows=line_rows, point_rows=point_rows)
-        self._frames, self._places, self._segments, self._lines, self._n_waiting = [], [], [], [], 0
+        if self._signals:
+            self._insert(_INSERT_SIGNALS, signal_rows=signal_columns(self._signals))
+        self._frames, self._places, self._segments, self._lines, self._signals = [], [], [], [], []
+        self._n_waiting = 0
 
     def _insert(self, statement: str, **views: Columns) -> None:
         for name, columns in views.items():

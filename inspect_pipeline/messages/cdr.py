@@ -55,10 +55,7 @@ class SequentialReader:
 
     def float64s(self, count: int | None = None) -> tuple[float, ...]:
         """Read an array of `count` doubles, or by default a sequence, which begins with its length."""
-        length = self.uint32() if count is None else count
-        if 8 * length > len(self._payload):
-            raise ValueError("a field reaches beyond the end of the message")
-        return tuple(self.float64() for _ in range(length))
+        return self.numbers("d", self.uint32() if count is None else count)
 
     def blob(self) -> memoryview:
         """Read a sequence of bytes, without copying it."""
@@ -79,6 +76,23 @@ class SequentialReader:
     def header(self) -> tuple[int, str]:
         """Read a std_msgs/Header: (stamp in nanoseconds, frame_id)."""
         return self.time_ns(), self.string()
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the message."""
+        return len(self._payload)
+
+    def numbers(self, code: str, count: int) -> tuple[float, ...]:
+        """Read `count` numbers of one format character of `struct`."""
+        size = struct.calcsize("<" + code)
+        if count * size > len(self._payload):
+            raise ValueError("a field reaches beyond the end of the message")
+        if count == 0:
+            return ()
+        first = self.number(code)
+        values = struct.unpack_from(f"{self._order}{count - 1}{code}", self._payload, self._at)
+        self._at += (count - 1) * size
+        return (first, *values)
 
     def number(self, code: str) -> float:
         """Read a number by its format character of `struct`."""

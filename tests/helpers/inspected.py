@@ -47,6 +47,7 @@ def write_rows(
                     sharpness=frame.sharpness,
                     mean_luma=frame.mean_luma,
                     place=_to_place(frame),
+                    signals={"battery": 90.0 - frame.frame_idx},
                 )
         return rows.finish()
 

@@ -85,9 +85,9 @@ def test_there_is_a_number_for_every_frame(store: Store, review: list[tuple[str,
         store, "SELECT frame_idx, log_time_ns, n_lines FROM frames WHERE flight_id = ? ORDER BY 1", [MONDAY]
     )
     found = of(review, "/camera/lsnet/numbers")
-    assert [(n["frame_idx"], time_ns, n["n_lines"]) for time_ns, n in found] == [
-        tuple(f.values()) for f in frames
-    ]
+    numbers = [(n["frame_idx"], time_ns, n["n_lines"]) for time_ns, n in found]
+    assert numbers == [tuple(frame.values()) for frame in frames]
+    assert [n["signals"] for _, n in found] == [{"battery": 90.0 - n["frame_idx"]} for _, n in found]
 
 
 def test_the_track_is_the_path_at_its_times(store: Store, review: list[tuple[str, int, Any]]) -> None:
@@ -159,7 +159,7 @@ def test_the_layout_of_a_flight_shows_its_topics(store: Store, review: list[tupl
     assert image["imageMode"]["synchronize"] is True
     topics = {topic for topic, *_ in review}
     (plot,) = (c for name, c in layout["configById"].items() if name.startswith("Plot"))
-    assert {path["value"].rsplit(".", 1)[0] for path in plot["paths"]} <= topics
+    assert {path["value"].split(".")[0] for path in plot["paths"]} <= topics
     assert layout["configById"]["RosOut!lsnet"]["topicToRender"] in topics
 
 

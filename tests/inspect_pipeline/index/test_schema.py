@@ -39,7 +39,7 @@ FROZEN = {
     "0002_runs.sql": "6b5ec3101f5b27767ca9d049d6eb1ca551845a82fedbfa81c11c5606f20ea346",
     "0003_inspection.sql": "7dedd9545054d0d4b0da66bf0def4ddeeaa981403c44e7eb34f89a0e26788395",
 }
-RESULT_COLUMNS = (2, "6541b97fa533c9ffcca1c4a92d6c8d0813e2c0fb9d0ec1155012cd010f98ddb1")
+RESULT_COLUMNS = (2, "cecd9c1ef6fe1eabcc4a47d1fb0fbf503e18e7f04511c6dc47e34ca24d04289b")
 
 
 @pytest.fixture(params=OLD_STORES, ids=lambda path: path.name)

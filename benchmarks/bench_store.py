@@ -94,7 +94,7 @@ def main() -> int:
         started = time.perf_counter()
         index.publish(store)
         one_more_s = time.perf_counter() - started
-        verify = measured(lambda: index.verify(store))
+        verify = measured(lambda: verify(store))
     n_frames = N_FLIGHTS * N_FRAMES
     figures = {
         "n_frames": n_frames,

@@ -17,7 +17,6 @@ from stubs import InlineExecutor, make_stub_in_cwd
 from terrain import write_dem
 
 import cli
-from inspect_pipeline.batch import run as batch
 from inspect_pipeline.batch import worker
 from inspect_pipeline.store.store import Store
 
@@ -39,7 +38,7 @@ def run(
     """Run `lsnet-pipe ...` in this process and a folder of its own, where recordings wait in ./inbox."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LSNET_PIPE_STORE", str(tmp_path / "store"))
-    monkeypatch.setattr(batch, "LocalExecutor", InlineExecutor)
+    monkeypatch.setattr("inspect_pipeline.batch.options.LocalExecutor", InlineExecutor)
     monkeypatch.setattr(worker, "LoadDetector", make_stub_in_cwd)
     monkeypatch.setattr(signal, "signal", lambda number, handler: signal.SIG_DFL)
     (tmp_path / "inbox").mkdir()
@@ -123,7 +122,7 @@ def test_options_from_a_file(run: Callable[..., Outcome], tmp_path: Path) -> Non
 def test_every_option_can_be_in_the_file(
     run: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(batch, "RayExecutor", InlineExecutor)
+    monkeypatch.setattr("inspect_pipeline.batch.options.RayExecutor", InlineExecutor)
     write_dem(tmp_path / "terrain.tif", (47.0, 3.0), lambda east, _: 0 * east)
     (tmp_path / "night.toml").write_text(
         """

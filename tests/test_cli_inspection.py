@@ -20,6 +20,7 @@ from inspect_pipeline.errors import QueryError, StoreError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.named_queries import named_queries
 from inspect_pipeline.index.reading import select
+from inspect_pipeline.index.verify import verify
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth
@@ -203,11 +204,11 @@ def test_check_reports_rules_that_could_not_judge(store: Store) -> None:
 def test_rules_of_the_store_are_those_of_the_index(store: Store) -> None:
     before = select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
     (store.root / "rules.toml").write_text("[frames]\ndark_below_luma = 1.0\n")
-    assert any("rules" in problem for problem in index.verify(store))
+    assert any("rules" in problem for problem in verify(store))
     index.publish(store)
     assert before
     assert not select(store, "SELECT * FROM anomalies WHERE kind = 'dark_frames'")
-    assert index.verify(store) == ()
+    assert verify(store) == ()
 
 
 def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
@@ -223,7 +224,7 @@ def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
     assert run("flights", "rm", FAULTY) == f"{FAULTY} removed\n"
     assert not store.flight_dir(FAULTY).exists()
     assert len(rows("flights", "list")) == 2
-    assert index.verify(store) == ()
+    assert verify(store) == ()
     for table in ("coverage", "coverage_bins", "coverage_gaps", "anomalies", "conductor_counts"):
         assert not select(store, f"SELECT * FROM {table} WHERE flight_id = ?", [FAULTY])
     run("flights", "tag", made.flight_id_of("old"), "nothing", code=2)

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, Protocol
 
 from inspect_pipeline.batch.inbox import Candidate, discover
-from inspect_pipeline.batch.local import LocalExecutor
+from inspect_pipeline.batch.options import BatchOptions, open_executor
 from inspect_pipeline.batch.processed_files import ANNOTATED_COPY, StatCache
 from inspect_pipeline.batch.quarantine import Quarantine, QuarantineNote
-from inspect_pipeline.batch.ray import RayExecutor
 from inspect_pipeline.batch.stop_request import StopRequest
 from inspect_pipeline.batch.worker import WorkerFailure
 from inspect_pipeline.config import start_described_run
@@ -28,44 +26,14 @@ from inspect_pipeline.store.records import ANNOTATED
 from inspect_pipeline.store.runs import Counts, RunSummary, save_run
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from inspect_pipeline.batch.executor import Executor, Outcome
     from inspect_pipeline.batch.worker import Job
-    from inspect_pipeline.config import ExecutorName
     from inspect_pipeline.store.records import FlightRecord, ProcessResult
     from inspect_pipeline.store.store import Store
 
 _PUBLISH_EVERY_S = 600.0
-
-
-@dataclass(frozen=True, slots=True)
-class BatchOptions:
-    """Options of a batch.
-
-    Attributes:
-        inboxes: Folders, files and glob patterns.
-        since_ns: Only files changed since, ns since 1970.
-        limit: Maximum number of recordings to process.
-        executor: Where the workers run.
-        n_workers: Recordings processed at a time.
-        timeout_s: Time limit of one attempt at a recording.
-        max_attempts: Attempts before a recording that fails them goes to quarantine.
-        settle_s: How long a file must be unchanged to count as complete.
-        tags: Kept with the run.
-        keep_annotated_days: Annotated copies of flights older than this are removed, None for never.
-    """
-
-    inboxes: tuple[str, ...]
-    since_ns: int = 0
-    limit: int | None = None
-    executor: ExecutorName = "local"
-    n_workers: int = 1
-    timeout_s: float = 3600.0
-    max_attempts: int = 3
-    settle_s: float = 10.0
-    tags: Mapping[str, str] = field(default_factory=dict)
-    keep_annotated_days: float | None = None
 
 
 class BatchReport(Protocol):
@@ -85,7 +53,7 @@ def run_batch(
     """
     stop = stop or StopRequest()
     with store.batch_lock():
-        with _executor(job, options, stop) as executor:
+        with open_executor(job, options, stop) as executor:
             summary = _Batch(store, job, options, executor=executor, report=report, stop=stop).run()
         with suppress(StoreError):  # only now are all its workers dead
             store.remove_leftovers()
@@ -98,19 +66,8 @@ def plan_batch(store: Store, job: Job, options: BatchOptions, report: BatchRepor
     Raises InboxError, DetectorError, StoreError.
     """
     stop = StopRequest()
-    with _executor(job, options, stop) as executor:
+    with open_executor(job, options, stop) as executor:
         return _Batch(store, job, options, executor=executor, report=report, stop=stop).plan()
-
-
-def _executor(job: Job, options: BatchOptions, stop: StopRequest) -> Executor[Any]:
-    kind = RayExecutor if options.executor == "ray" else LocalExecutor
-    return kind(
-        job,
-        n_workers=options.n_workers,
-        timeout_s=options.timeout_s,
-        max_attempts=options.max_attempts,
-        should_stop=stop.is_made,
-    )
 
 
 class _Batch:

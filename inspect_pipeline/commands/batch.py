@@ -35,7 +35,8 @@ from inspect_pipeline.commands.output import count_of, print_line
 from inspect_pipeline.config import ExecutorName
 
 if TYPE_CHECKING:
-    from inspect_pipeline.batch.run import BatchOptions, BatchReport
+    from inspect_pipeline.batch.options import BatchOptions
+    from inspect_pipeline.batch.run import BatchReport
     from inspect_pipeline.batch.worker import Job
     from inspect_pipeline.store.runs import RunSummary
     from inspect_pipeline.store.store import Store
@@ -142,7 +143,7 @@ def batch(
         with the_store.batch_lock():  # a second batch ends here, before the slow imports
             pass
 
-    from inspect_pipeline.batch.run import BatchOptions
+    from inspect_pipeline.batch.options import BatchOptions
     from inspect_pipeline.batch.worker import Job, LoadDetector
     from inspect_pipeline.config import PlacingOptions, ProcessOptions
 

@@ -44,9 +44,9 @@ def verify(store: StoreOption = None) -> None:
     Examples:
       lsnet-pipe index verify
     """
-    from inspect_pipeline.index import publish
+    from inspect_pipeline.index import verify as verification
 
-    problems = publish.verify(open_store(store))
+    problems = verification.verify(open_store(store))
     for problem in problems:
         print_line(problem)
     if problems:

@@ -171,3 +171,11 @@ FlightArgument = Annotated[str, typer.Argument(metavar="FLIGHT", help="A flight_
 InboxArgument = Annotated[
     list[str], typer.Argument(metavar="INBOX...", help="Folders, recordings, or globs in quotes.")
 ]
+RunOption = Annotated[Path, typer.Option("--run", metavar="DIR", help="Folder of the run.")]
+BackgroundOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="DIR[:FIRST]",
+        help="Photographs without lines to draw on, the FIRST of them by name; may be repeated.",
+    ),
+]

@@ -19,8 +19,6 @@ from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.index.derived import input_digests, insert_records, inspect_flights, refresh
 from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.index.rows import (
-    compare_checksums,
-    compare_rows,
     find_damaged,
     find_unreadable,
     insert_checksums,
@@ -46,7 +44,8 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.index.derived import Inspected
     from inspect_pipeline.inspection.rules import Rules
-    from inspect_pipeline.store.store import DamagedFlight, Store, StoredFlight
+    from inspect_pipeline.store.flight_folder import DamagedFlight, StoredFlight
+    from inspect_pipeline.store.store import Store
 
 _HEADER_BYTES = 3 * 4096  # in front of the blocks
 
@@ -70,11 +69,11 @@ def publish(store: Store | Path | str) -> IndexChange:
     with store.publish_lock():
         store.remove_leftovers()
         flights, damaged = store.scan()
-        known = _published(store.index_path)
+        known = read_published(store.index_path)
         if known is None:
             return _rebuild(store, flights, damaged)
         wanted = {flight.record.flight_id: flight.result_sha256 for flight in flights}
-        if known == wanted and _is_current(store, flights):
+        if known == wanted and is_current(store, flights):
             return IndexChange(len(flights), 0, 0, tuple(damaged))
         try:
             return _replace_index(store, flights, damaged, known)
@@ -95,7 +94,7 @@ def published_flights(store: Store) -> dict[str, str]:
 
     Raises StoreVersionError.
     """
-    return _published(store.index_path) or {}
+    return read_published(store.index_path) or {}
 
 
 def inspect_again(store: Store, flight_ids: Sequence[str], rules: Rules) -> Inspected:
@@ -104,55 +103,7 @@ def inspect_again(store: Store, flight_ids: Sequence[str], rules: Rules) -> Insp
         return inspect_flights(index.connection, store, flight_ids, rules)
 
 
-def verify(store: Store | Path | str) -> tuple[str, ...]:
-    """Compare every value of the index with the flights, and every file of the flights with its checksum.
-
-    Returns:
-        A sentence for each difference.
-
-    Raises:
-        StoreError: Also while another program has the index open for writing.
-        StoreVersionError: The index was written by a newer version.
-    """
-    store = as_store(store)
-    with store.publish_lock():
-        flights, damaged = store.scan()
-        damaged += _check_files(store, flights)
-        problems = [f"{folder}: {problem}" for folder, problem in damaged]
-        known = _published(store.index_path, is_lock_error=True)
-        if known is None:
-            return (*problems, f"{store.index_path}: missing or corrupt; {REBUILD}")
-        wanted = {flight.record.flight_id: flight for flight in flights}
-        problems += [f"{flight_id}: in the index only; {REBUILD}" for flight_id in known.keys() - wanted]
-        folders = {one.folder for one in damaged}
-        absent = [i for i, flight in wanted.items() if i not in known and flight.folder not in folders]
-        problems += [f"{flight_id}: not in the index; {REBUILD}" for flight_id in absent]
-        same = {i: f for i, f in wanted.items() if known.get(i) == f.result_sha256}
-        problems += [f"{i}: older in the index; {REBUILD}" for i in (wanted.keys() & known) - same.keys()]
-        intact = [flight for flight in same.values() if flight.folder not in folders]
-        problems += compare_rows(store.index_path, intact)
-        if not problems:
-            problems += _check_rest(store, flights)
-        return tuple(problems)
-
-
-def _check_files(store: Store, flights: list[StoredFlight]) -> list[DamagedFlight]:
-    """Return the flights with a file whose checksum differs, annotated copies included."""
-    with store_errors(store.root):
-        return find_damaged(flights, lambda flight: flight.record.files)
-
-
-def _check_rest(store: Store, flights: list[StoredFlight]) -> list[str]:
-    """Check version, runs and user input of the index, then the checksums of its other tables."""
-    if not _is_current(store, flights):
-        return [f"{store.index_path}: other runs, spans or rules, or another version; {REBUILD}"]
-    try:
-        return compare_checksums(store.index_path)
-    except DATABASE_ERRORS as error:
-        return [f"{store.index_path}: {first_line(error)}; {REBUILD}"]
-
-
-def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
+def is_current(store: Store, flights: list[StoredFlight]) -> bool:
     """Whether the index is of this version of the program, with all runs and user input."""
     try:
         return _is_up_to_date(store, flights)
@@ -161,7 +112,7 @@ def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
 
 
 def _is_up_to_date(store: Store, flights: list[StoredFlight]) -> bool:
-    """Implement `_is_current` for an index that can be read; raises DATABASE_ERRORS."""
+    """Implement `is_current` for an index that can be read; raises DATABASE_ERRORS."""
     with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
         if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):
@@ -177,7 +128,7 @@ def _run_rows(store: Store, flights: list[StoredFlight]) -> list[dict[str, Any]]
     return run_rows((flight.record.run for flight in flights), load_runs(store))
 
 
-def _published(path: Path, *, is_lock_error: bool = False) -> dict[str, str] | None:
+def read_published(path: Path, *, is_lock_error: bool = False) -> dict[str, str] | None:
     """Return the sha256 of the result.json of each flight in an index; None when it must be made anew.
 
     Raises StoreVersionError and, with `is_lock_error`, StoreError when another program is writing to it.

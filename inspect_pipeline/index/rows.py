@@ -9,13 +9,13 @@ import duckdb
 from inspect_pipeline.index.derived import insert_records
 from inspect_pipeline.index.flight_tables import ROW_TABLES
 from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, create_tables, first_line
-from inspect_pipeline.store.store import DamagedFlight
+from inspect_pipeline.store.flight_folder import DamagedFlight
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from inspect_pipeline.store.store import StoredFlight
+    from inspect_pipeline.store.flight_folder import StoredFlight
 
 PROCESS_AGAIN = "process its recording again"
 _FLIGHTS_PER_INSERT = 256

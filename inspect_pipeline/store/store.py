@@ -10,18 +10,16 @@ lock, publish.lock               held by `batch` and by a publish
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
 import secrets
 import shutil
-import stat
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from inspect_pipeline.atomic import (
     OUT_OF_SPACE,
@@ -34,13 +32,20 @@ from inspect_pipeline.atomic import (
     undo_move_aside,
     write_whole,
 )
-from inspect_pipeline.errors import StoreBusyError, StoreVersionError, StoreWriteError
-from inspect_pipeline.store.records import ANNOTATED, RESULT_VERSION, FlightRecord, parse_json
+from inspect_pipeline.errors import StoreBusyError, StoreWriteError
+from inspect_pipeline.store.flight_folder import (
+    RESULT,
+    DamagedFlight,
+    StoredFlight,
+    file_sha256,
+    find_problem,
+    load_flight,
+    result_text,
+)
+from inspect_pipeline.store.records import ANNOTATED, FlightRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-_RESULT = "result.json"
+    from collections.abc import Iterator
 
 
 def store_path(option: Path | None) -> Path:
@@ -51,45 +56,6 @@ def store_path(option: Path | None) -> Path:
 def as_store(store: Store | Path | str) -> Store:
     """Return a store, given as such or by its folder."""
     return store if isinstance(store, Store) else Store(store)
-
-
-class DamagedFlight(NamedTuple):
-    """A folder among the flights that cannot be used, and why."""
-
-    folder: Path
-    problem: str
-
-
-@dataclass(frozen=True, slots=True)
-class StoredFlight:
-    """A flight of the store: its folder, its record, and the sha256 of the record's file."""
-
-    folder: Path
-    record: FlightRecord
-    result_sha256: str
-
-    @property
-    def row_files(self) -> list[str]:
-        """The names of its parquet files."""
-        return [name for name in self.record.files if name.endswith(".parquet")]
-
-    def check_sizes(self) -> str | None:
-        """Return a phrase about a file that is missing or has another size than it was written with."""
-        for name, size_bytes in self.record.files.items():
-            found = _size_bytes(f"{self.folder}/{name}")
-            if found != size_bytes:
-                return f"{name} is missing" if found is None else f"{name} has another size"
-        return None
-
-    def check_content(self, names: Iterable[str]) -> str | None:
-        """Return a phrase about a file whose checksum differs; raises OSError.
-
-        Files of older versions have no checksum and pass.
-        """
-        for name in names:
-            if name in self.record.sha256 and file_sha256(self.folder / name) != self.record.sha256[name]:
-                return f"the checksum of {name} differs"
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +80,8 @@ class Staging:
                 files={name: files[name].stat().st_size for name in sorted(files)},
                 sha256={name: file_sha256(files[name]) for name in sorted(files)},
             )
-            (self.path / _RESULT).write_text(_to_text(complete), encoding="utf-8")
-            fsync_path(self.path / _RESULT)
+            (self.path / RESULT).write_text(result_text(complete), encoding="utf-8")
+            fsync_path(self.path / RESULT)
             fsync_path(self.path)
             with self._store.changing_flights():
                 move_folder_into_place(self.path, final, _aside(self.path))
@@ -149,7 +115,7 @@ class Store:
 
     def find_flight(self, flight_id: str) -> StoredFlight | None:
         """Return a flight whose files are all there with their sizes, else None; raises StoreError."""
-        stored = self._load(self.flight_dir(flight_id))
+        stored = load_flight(self.flight_dir(flight_id))
         return stored if stored and stored.check_sizes() is None else None
 
     def load_flight(self, flight_id: str) -> FlightRecord | None:
@@ -172,8 +138,8 @@ class Store:
         for folder in folders:
             if folder.name.startswith("."):  # left by a file manager
                 continue
-            stored = self._load(folder)
-            if problem := _find_problem(folder, stored):
+            stored = load_flight(folder)
+            if problem := find_problem(folder, stored):
                 damaged.append(DamagedFlight(folder, problem))
             elif stored:
                 flights.append(stored)
@@ -219,11 +185,11 @@ class Store:
         A flight that was replaced meanwhile keeps its own.
         """
         with store_errors(self.root), self.changing_flights():
-            if self._load(stored.folder) != stored:
+            if load_flight(stored.folder) != stored:
                 return
             if stored.record.annotations == ANNOTATED:
                 record = stored.record.without_annotations()
-                write_whole(stored.folder / _RESULT, _to_text(record))
+                write_whole(stored.folder / RESULT, result_text(record))
             (stored.folder / ANNOTATED).unlink(missing_ok=True)
         self.append_manifest("annotated copy removed", flight_id=stored.record.flight_id)
 
@@ -308,49 +274,6 @@ class Store:
         line = json.dumps({"at": datetime.now(UTC).isoformat(), "event": event, **fields})
         with store_errors(self.root), (self.root / "manifest.jsonl").open("a", encoding="utf-8") as file:
             file.write(line + "\n")
-
-    def _load(self, folder: Path) -> StoredFlight | None:
-        try:
-            content = (folder / _RESULT).read_bytes()
-            value = parse_json(content)
-            if value["result_version"] > RESULT_VERSION:
-                raise StoreVersionError(folder / _RESULT, "written by a newer version", "upgrade lsnet-pipe")
-            record = FlightRecord.from_json(value)
-        except (FileNotFoundError, NotADirectoryError, AttributeError, KeyError, TypeError, ValueError):
-            return None
-        except OSError as error:
-            raise explain_os_error(folder, error) from error
-        return StoredFlight(folder, record, hashlib.sha256(content).hexdigest())
-
-
-def _to_text(record: FlightRecord) -> str:
-    return json.dumps(record.to_json(), indent=1) + "\n"
-
-
-def _find_problem(folder: Path, stored: StoredFlight | None) -> str | None:
-    """Return a phrase about what is wrong with a folder among the flights."""
-    if stored is None:
-        return "its result.json is missing or cannot be read; process its recording again"
-    name = stored.record.flight_id[:16]
-    if name != folder.name:
-        return f"a copy of flight {name} under another name; remove it, or rename it if that one is missing"
-    problem = stored.check_sizes()
-    return f"{problem}; process its recording again" if problem else None
-
-
-def file_sha256(path: Path) -> str:
-    """Return the sha256 of a file in hex; raises OSError."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _size_bytes(path: str) -> int | None:
-    """Return the size of a file, None for anything else; a str, as scans of large stores wait for this."""
-    try:
-        found = os.stat(path)  # noqa: PTH116
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    return found.st_size if stat.S_ISREG(found.st_mode) else None
 
 
 def _lock_of(staging: Path) -> Path:

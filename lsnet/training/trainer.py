@@ -14,16 +14,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, Dataset
 
 from lsnet.errors import LSNetError
 from lsnet.files import make_folder
-from lsnet.grid import GridCoder
 from lsnet.losses import LossParts, MultiTaskLoss
 from lsnet.model import PRESETS, LSNet, LSNetConfig
+from lsnet.training.batches import load_batches
 from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint, save_checkpoint
 from lsnet.training.pruning import slim
 from lsnet.weights import load_weights
@@ -31,11 +29,8 @@ from lsnet.weights import load_weights
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from torch import Tensor
-
     from lsnet.synth.dataset import SampleSource
-
-    Batch = tuple[Tensor, Tensor, Tensor]
+    from lsnet.training.batches import Batch
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,48 +63,6 @@ class TrainingProgress:
     regression: float
     images_per_s: float
     validation_loss: float | None = None
-
-
-class _Encoded(Dataset["Batch"]):
-    """Samples as tensors: image (3, H, W) uint8, labels (R, C), endpoints (R, C, 4)."""
-
-    def __init__(self, samples: SampleSource, coder: GridCoder) -> None:
-        self._samples, self._coder = samples, coder
-
-    def __getitem__(self, index: int) -> Batch:
-        sample = self._samples[index]
-        targets = self._coder.encode(sample.lines, (self._samples.size, self._samples.size))
-        image = torch.from_numpy(np.ascontiguousarray(sample.image.transpose(2, 0, 1)))
-        return image, torch.from_numpy(targets.labels), torch.from_numpy(targets.endpoints)
-
-
-def loader(samples: SampleSource, indices: range, config: TrainConfig) -> Iterator[Batch]:
-    """Yield the samples of `indices` in batches, in order, encoded in worker processes.
-
-    With workers, OpenCV runs on one thread from then on: a forked worker has no copies of OpenCV's threads,
-    and would wait for them forever.
-
-    Raises:
-        LSNetError: A sample cannot be read.
-    """
-    if config.workers:
-        cv2.setNumThreads(0)
-    batches = DataLoader(
-        _Encoded(samples, GridCoder()),
-        batch_size=config.batch_size,
-        sampler=indices,
-        num_workers=config.workers,
-        prefetch_factor=6 if config.workers else None,
-        worker_init_fn=_single_threaded,
-    )
-    try:
-        yield from batches
-    except LSNetError as err:  # from a worker it has the traceback before the message
-        raise LSNetError(str(err.args[0]).rstrip().rpartition("LSNetError: ")[2]) from err
-
-
-def _single_threaded(_worker: int) -> None:
-    torch.set_num_threads(1)
 
 
 def learning_rate_at(step: int, config: TrainConfig) -> float:
@@ -177,10 +130,10 @@ class Trainer:
         config = self.config
         if self.step >= config.steps or self.bad_validations >= config.patience:
             return
-        validation_batches = list(loader(validation, range(config.validation_images), config))
-        batches = loader(
-            samples, range(self.step * config.batch_size, config.steps * config.batch_size), config
-        )
+        sizes = {"batch_size": config.batch_size, "workers": config.workers}
+        validation_batches = list(load_batches(validation, range(config.validation_images), **sizes))
+        first, last = self.step * config.batch_size, config.steps * config.batch_size
+        batches = load_batches(samples, range(first, last), **sizes)
         for progress in self._epoch(batches):
             if not self._is_validation_due():
                 report(progress)

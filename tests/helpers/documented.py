@@ -15,7 +15,7 @@ import flights
 import inspected
 
 from inspect_pipeline.index import publish as index
-from inspect_pipeline.index import query_child
+from inspect_pipeline.index import query_child, query_output
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
@@ -49,7 +49,7 @@ def answer(store: Store, sql: str) -> str:
     shown = io.StringIO()
     with duckdb.connect(store.index_path, read_only=True) as connection:
         source = f"query({query_child.quote(sql)})"
-        query_child.write_table(query_child.select_texts(connection, source), shown, max_rows=1000)
+        query_output.write_table(query_child.select_texts(connection, source), shown, max_rows=1000)
     return shown.getvalue()
 
 

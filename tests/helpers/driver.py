@@ -16,7 +16,8 @@ from stubs import MakeStub
 
 from inspect_pipeline.batch import local as executor_local
 from inspect_pipeline.batch import worker
-from inspect_pipeline.batch.run import BatchOptions, run_batch
+from inspect_pipeline.batch.options import BatchOptions
+from inspect_pipeline.batch.run import run_batch
 from inspect_pipeline.batch.stop_request import stop_on_signals
 from inspect_pipeline.batch.worker import Job
 from inspect_pipeline.config import ProcessOptions

@@ -16,8 +16,9 @@ from factories import Shot, make_recording
 from stubs import MakeStub
 
 from inspect_pipeline.batch.inbox import Candidate
+from inspect_pipeline.batch.options import BatchOptions
 from inspect_pipeline.batch.processed_files import StatCache
-from inspect_pipeline.batch.run import BatchOptions, run_batch
+from inspect_pipeline.batch.run import run_batch
 from inspect_pipeline.batch.worker import Job
 from inspect_pipeline.config import ProcessOptions
 from inspect_pipeline.store.store import Store

@@ -23,7 +23,8 @@ from lsnet.evaluation.speed import least_cpu_ms
 from lsnet.losses import MultiTaskLoss, ordered_error
 from lsnet.model import PRESETS, LSNet, LSNetConfig
 from lsnet.runtime import OpenVinoBackend, TorchBackend
-from lsnet.training.trainer import TrainConfig, Trainer, loader
+from lsnet.training.batches import load_batches
+from lsnet.training.trainer import TrainConfig, Trainer
 from lsnet.weights import Weights, WeightsCard
 
 if TYPE_CHECKING:
@@ -172,12 +173,13 @@ def run_variant(
     )
     trainer.run(train_on, validate_on, report=lambda _progress: report(trainer.step))
     net = trainer.average
-    validation = list(loader(validate_on, range(VALIDATION_IMAGES), trainer.config))
+    config, validated = trainer.config, range(VALIDATION_IMAGES)
+    batches = load_batches(validate_on, validated, batch_size=config.batch_size, workers=config.workers)
     result = Result(
         name=variant.name,
         parameters=sum(p.numel() for p in net.parameters()),
         steps=comparison.steps,
-        validation_loss=trainer.validate(validation),
+        validation_loss=trainer.validate(list(batches)),
         ods=score(net, comparison.sets, main_grid_only=variant.loss.main_grid_only),
     )
     with (comparison.folder / RESULTS_FILE).open("a") as log:

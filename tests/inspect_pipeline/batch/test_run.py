@@ -17,14 +17,15 @@ from factories import Shot, make_recording, shots
 from fakes import forbid
 from stubs import HANG, LIGHT, RAISE, InlineExecutor, MakeStub
 
-from inspect_pipeline.batch import run as batch
+from inspect_pipeline.batch.options import BatchOptions
 from inspect_pipeline.batch.quarantine import Quarantine
-from inspect_pipeline.batch.run import BatchOptions, plan_batch, run_batch
+from inspect_pipeline.batch.run import plan_batch, run_batch
 from inspect_pipeline.batch.stop_request import StopRequest
 from inspect_pipeline.batch.worker import Job
 from inspect_pipeline.config import ProcessOptions
 from inspect_pipeline.errors import StoreBusyError
 from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.verify import verify
 from inspect_pipeline.store.runs import load_runs
 from inspect_pipeline.store.store import Store
 
@@ -82,7 +83,7 @@ def real_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nigh
 @pytest.fixture
 def night(real_night: Night, monkeypatch: pytest.MonkeyPatch) -> Night:
     """In this process."""
-    monkeypatch.setattr(batch, "LocalExecutor", InlineExecutor)
+    monkeypatch.setattr("inspect_pipeline.batch.options.LocalExecutor", InlineExecutor)
     return real_night
 
 
@@ -191,7 +192,7 @@ def test_a_damaged_flight_is_processed_again(night: Night) -> None:
     summary = night.run()
     assert (summary.counts.n_processed, summary.counts.n_skipped) == (1, 1)
     assert night.indexed() == before
-    assert index.verify(night.store) == ()
+    assert verify(night.store) == ()
 
 
 def test_a_late_recording_is_given_up(real_night: Night) -> None:
@@ -294,7 +295,7 @@ def test_old_annotated_copies_are_removed_and_their_rows_stay(night: Night) -> N
     assert [path.exists() for path in (old, old.with_name("frames.parquet"))] == [False, True]
     assert len(list(night.store.root.glob("flights/*/annotated.mcap"))) == 1
     assert night.indexed() == {"old.mcap": 2, "new.mcap": 1}
-    assert index.verify(night.store) == ()
+    assert verify(night.store) == ()
     flight_id = json.loads(old.with_name("result.json").read_text())["flight_id"]
     assert ("annotated copy removed", {"flight_id": flight_id}) in night.events
     assert night.counts(night.run(keep_annotated_days=30)) == {"found": 2, "skipped": 2}

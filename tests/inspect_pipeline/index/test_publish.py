@@ -16,6 +16,7 @@ from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index import schema
 from inspect_pipeline.index.named_queries import find_query
+from inspect_pipeline.index.verify import verify
 from inspect_pipeline.inspection.spans import Span, import_spans
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store.feedback import add_tag
@@ -103,7 +104,7 @@ def test_publish_replaces_adds_and_removes(store: Store) -> None:
     )
     assert ask(store, "SELECT count(*) FROM segments") == [(0,)]
     assert ask(store, "SELECT count(*) FROM models") == [(1,)]
-    assert index.verify(store) == ()
+    assert verify(store) == ()
 
 
 def test_publishing_nothing_new_writes_nothing(store: Store) -> None:
@@ -123,11 +124,11 @@ def test_an_empty_flight_and_an_empty_store(tmp_path: Path) -> None:
         "SELECT n_frames, start_ns, duration_s, detection_share FROM flight_summary JOIN flights USING"
         " (flight_id, n_frames)",
     ) == [(0, None, None, None)]
-    assert index.verify(store) == ()
+    assert verify(store) == ()
 
 
 def test_rebuild_gives_the_same_answers(store: Store) -> None:
-    assert index.verify(store) == ()
+    assert verify(store) == ()
     flights.write_flight(store, "a", 5)
     index.publish(store)
     before = content(store)
@@ -167,7 +168,7 @@ def test_a_lost_index_is_made_anew_at_the_next_publish(
         path.write_bytes(bytes(b ^ 0xFF if i % 1000 == 0 and i > 12288 else b for i, b in enumerate(whole)))
     elif damage == "cut":
         path.write_bytes(whole[: len(whole) // 2])
-    assert damage == "flipped" or index.verify(store)
+    assert damage == "flipped" or verify(store)
     flights.write_flight(store, "c", 1)
     index.publish(store)
     assert content(store) == content_with_c
@@ -182,7 +183,7 @@ def test_a_log_that_someone_left_is_not_replayed(store: Store) -> None:
         os._exit(0)  # leaves index.duckdb.wal
     os.waitpid(child, 0)
     assert list(store.root.glob("index.duckdb.wal"))
-    assert any("segments" in problem for problem in index.verify(store))
+    assert any("segments" in problem for problem in verify(store))
     index.rebuild(store)
     assert not list(store.root.glob("index.duckdb.wal"))
     assert content(store) == before
@@ -202,7 +203,7 @@ def test_a_log_that_someone_left_is_not_replayed(store: Store) -> None:
 def test_verify_finds_any_difference(store: Store, change: str, words: str) -> None:
     with duckdb.connect(store.index_path) as connection:
         connection.execute(change)
-    problems = index.verify(store)
+    problems = verify(store)
     assert problems
     assert all(words in problem for problem in problems)
 
@@ -210,7 +211,7 @@ def test_verify_finds_any_difference(store: Store, change: str, words: str) -> N
 def test_a_damaged_flight_is_reported_and_left_out(store: Store) -> None:
     folder = store.flight_dir(flights.flight_id_of("a"))
     (folder / "segments.parquet").write_bytes(b"cut")
-    assert any("segments.parquet has another size" in problem for problem in index.verify(store))
+    assert any("segments.parquet has another size" in problem for problem in verify(store))
     change = index.publish(store)
     assert [one.folder for one in change.damaged] == [folder]
     assert "segments.parquet has another size; process its recording again" in change.damaged[0].problem
@@ -218,7 +219,7 @@ def test_a_damaged_flight_is_reported_and_left_out(store: Store) -> None:
     assert index.publish(store) == index.IndexChange(1, 0, 0, change.damaged)
     flights.write_flight(store, "a", 3)
     index.publish(store)
-    assert index.verify(store) == ()
+    assert verify(store) == ()
 
 
 def test_a_flight_with_flipped_bits_is_left_out(store: Store) -> None:
@@ -226,7 +227,7 @@ def test_a_flight_with_flipped_bits_is_left_out(store: Store) -> None:
     path = folder / "segments.parquet"
     path.write_bytes(b"\xff" * path.stat().st_size)
     problem = "the checksum of segments.parquet differs; process its recording again"
-    assert index.verify(store) == (f"{folder}: {problem}",)
+    assert verify(store) == (f"{folder}: {problem}",)
     change = index.rebuild(store)
     assert [one.folder for one in change.damaged] == [folder]
     assert ask(store, "SELECT count(*) FROM flights") == [(1,)]
@@ -242,13 +243,13 @@ def test_one_flipped_byte_costs_one_flight(store: Store, table: str, has_checksu
     content[len(content) // 2] ^= 0xFF
     path.write_bytes(content)
     if has_checksums:
-        assert index.verify(store) == (
+        assert verify(store) == (
             f"{folder}: the checksum of {path.name} differs; process its recording again",
         )
         assert store.load_flight(flights.flight_id_of("a")) is None
         assert [one.folder for one in index.rebuild(store).damaged] == [folder]
         assert set(flights.versions_in_index(store)) == {"b"}
-        assert len(index.verify(store)) == 1
+        assert len(verify(store)) == 1
     else:
         result = json.loads((folder / "result.json").read_text())
         del result["sha256"]
@@ -274,7 +275,7 @@ def test_a_result_of_wrong_types_costs_one_flight(store: Store) -> None:
 def test_a_damaged_annotated_copy_is_found(store: Store) -> None:
     path = store.flight_dir(flights.flight_id_of("a")) / "annotated.mcap"
     path.write_bytes(b"x" + path.read_bytes()[1:])
-    assert index.verify(store) == (
+    assert verify(store) == (
         f"{path.parent}: the checksum of annotated.mcap differs; process its recording again",
     )
     assert index.rebuild(store).damaged == ()  # its rows are whole
@@ -289,7 +290,7 @@ def test_a_copied_folder_counts_once(store: Store) -> None:
     assert damage.folder == folder.with_name("backup")
     assert damage.problem.startswith(f"a copy of flight {folder.name} under another name; remove it")
     assert content(store) == before
-    assert len(index.verify(store)) == 1
+    assert len(verify(store)) == 1
 
 
 def test_a_rebuild_after_idle_nights_is_not_needed(store: Store) -> None:
@@ -297,7 +298,7 @@ def test_a_rebuild_after_idle_nights_is_not_needed(store: Store) -> None:
     for night in range(6):
         save_run(store, summarize_process(_run(night), [], n_found=0, n_failed=0, exit_code=0))
         assert index.publish(store).n_written == 0
-        assert index.verify(store) == ()
+        assert verify(store) == ()
 
 
 def _run(number: int) -> RunRecord:
@@ -307,10 +308,10 @@ def _run(number: int) -> RunRecord:
 def test_verify_compares_what_is_derived(store: Store) -> None:
     with duckdb.connect(store.index_path) as connection:
         connection.execute("UPDATE coverage SET covered = covered + 1")
-    (problem,) = index.verify(store)
+    (problem,) = verify(store)
     assert "the rows of coverage are not those that were published" in problem
     index.rebuild(store)
-    assert index.verify(store) == ()
+    assert verify(store) == ()
 
 
 def test_an_old_flight_without_tracks_is_not_taken_for_a_damaged_one(store: Store) -> None:
@@ -350,7 +351,7 @@ def test_publishes_at_once_lose_nothing(store: Store) -> None:
         children.append(child)
     assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
     assert set(flights.versions_in_index(store)) == set("abcde")
-    assert index.verify(store) == ()
+    assert verify(store) == ()
 
 
 def test_a_newer_index_is_refused_and_rebuilt_on_demand(store: Store) -> None:
@@ -359,7 +360,7 @@ def test_a_newer_index_is_refused_and_rebuilt_on_demand(store: Store) -> None:
             "INSERT INTO schema_version VALUES (?, now()::TIMESTAMP, '9')", [len(MIGRATIONS) + 1]
         )
     flights.write_flight(store, "c", 1)
-    for action in (index.publish, index.verify):
+    for action in (index.publish, verify):
         with pytest.raises(StoreVersionError, match="upgrade lsnet-pipe") as caught:
             action(store)
         assert caught.value.exit_code == 12
@@ -379,7 +380,7 @@ def test_an_older_index_is_migrated(store: Store, monkeypatch: pytest.MonkeyPatc
     inode = store.index_path.stat().st_ino
     index.publish(store)
     assert store.index_path.stat().st_ino == inode
-    assert index.verify(store) == ()
+    assert verify(store) == ()
 
 
 def test_a_new_release_brings_its_views(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -453,7 +454,7 @@ def test_odd_folders(tmp_path: Path) -> None:
     store = Store(tmp_path / "line=L12/flight_id=5/in[sp]ect/it's" / 'a "b" {c} #1=ü')
     flights.write_flight(store, "a", 3)
     index.publish(store)
-    assert index.verify(store) == ()
+    assert verify(store) == ()
     assert ask(store, "SELECT count(*) FROM frames") == [(3,)]
 
 

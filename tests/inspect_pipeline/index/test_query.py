@@ -24,10 +24,11 @@ from inspect_pipeline.commands import index as index_command
 from inspect_pipeline.commands.query import query
 from inspect_pipeline.errors import QueryError, StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
-from inspect_pipeline.index import query_child
+from inspect_pipeline.index import query_child, query_output
 from inspect_pipeline.index.query import QueryLimits, run_query
 from inspect_pipeline.index.query import query as query_rows
 from inspect_pipeline.index.reading import select
+from inspect_pipeline.index.verify import verify
 from inspect_pipeline.resources import MIGRATIONS
 from inspect_pipeline.store.store import Store
 
@@ -200,7 +201,7 @@ def test_an_index_that_another_program_writes_to(store: Store) -> None:
             with pytest.raises(StoreError, match=words):
                 action()
         with pytest.raises(StoreError, match=words):
-            index.verify(store)
+            verify(store)
         holder.kill()
 
 
@@ -443,8 +444,8 @@ def test_tables_fit_the_terminal(width: int) -> None:
     """In columns that are cut where that is enough, else a row as a block of lines."""
     names = [f"column_{i}" for i in range(8)]
     out = io.StringIO()
-    rows = query_child.Rows(names, ["VARCHAR"] * 8, iter([tuple("x" * 5 * i for i in range(8))] * 2))
-    query_child.write_table(rows, out, max_rows=10, width=width)
+    rows = query_output.Rows(names, ["VARCHAR"] * 8, iter([tuple("x" * 5 * i for i in range(8))] * 2))
+    query_output.write_table(rows, out, max_rows=10, width=width)
     text = out.getvalue()
     assert max(map(len, text.splitlines())) <= width
     assert all(name in text for name in names)

@@ -15,6 +15,7 @@ from stores import contents
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.flight_tables import ROW_TABLES
 from inspect_pipeline.index.schema import create_tables
+from inspect_pipeline.index.verify import verify
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store.records import RESULT_VERSION
 from inspect_pipeline.store.store import Store
@@ -96,7 +97,7 @@ def test_an_old_store_is_brought_up_without_loss(old_store: Store) -> None:
     with duckdb.connect(old_store.index_path, read_only=True) as connection:
         assert connection.execute("SELECT max(version) FROM schema_version").fetchone() == (len(MIGRATIONS),)
     assert versions(old_store) == versions_in_index(old_store) == {"a": 3, "b": 4}
-    assert index.verify(old_store) == ()
+    assert verify(old_store) == ()
 
 
 def test_a_brought_up_index_is_the_one_that_a_rebuild_makes(old_store: Store) -> None:

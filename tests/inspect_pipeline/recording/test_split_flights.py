@@ -13,8 +13,8 @@ from fakes import FakeDetector
 from mcap.reader import make_reader
 from stubs import InlineExecutor, MakeStub
 
-from inspect_pipeline.batch import run as batch
-from inspect_pipeline.batch.run import BatchOptions, run_batch
+from inspect_pipeline.batch.options import BatchOptions
+from inspect_pipeline.batch.run import run_batch
 from inspect_pipeline.batch.worker import Job
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
@@ -108,7 +108,7 @@ def test_a_rosbag2_is_one_flight(tmp_path: Path, store: Store) -> None:
 def test_a_batch_takes_a_split_rosbag2_as_one(
     tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(batch, "LocalExecutor", InlineExecutor)
+    monkeypatch.setattr("inspect_pipeline.batch.options.LocalExecutor", InlineExecutor)
     inbox = tmp_path / "inbox"
     inbox.mkdir()
     path = make_recording_with_rosbags(inbox / "bag", shots(4))

@@ -16,7 +16,7 @@ from nets import TINY
 from lsnet import model
 from lsnet.errors import LSNetError
 from lsnet.synth.dataset import Sample
-from lsnet.training import trainer as train
+from lsnet.training.batches import load_batches
 from lsnet.training.checkpoints import load_checkpoint, save_checkpoint
 from lsnet.training.sources import TrainingData, export_run, open_sources
 from lsnet.training.trainer import TrainConfig, Trainer, TrainingProgress, learning_rate_at
@@ -74,7 +74,9 @@ def test_training_overfits_a_tiny_set(tmp_path: Path) -> None:
     config = replace(QUICK, steps=100, batch_size=4, validate_every=50, learning_rate=2e-2)
     reports: list[TrainingProgress] = []
     trainer = Trainer(config, tmp_path / "run")
-    before = trainer.validate(list(train.loader(Strokes(), range(4), config)))
+    before = trainer.validate(
+        list(load_batches(Strokes(), range(4), batch_size=config.batch_size, workers=0))
+    )
     trainer.run(Strokes(), Strokes(), reports.append)
     found = [r for r in reports if r.validation_loss is not None]
     assert [r.step for r in found] == [50, 100]
@@ -244,7 +246,7 @@ class Unreadable(Strokes):
 @pytest.mark.parametrize("workers", [0, 1])
 def test_a_sample_that_cannot_be_read_is_one_line(workers: int) -> None:
     with pytest.raises(LSNetError) as error:
-        list(train.loader(Unreadable(), range(2), replace(QUICK, workers=workers)))
+        list(load_batches(Unreadable(), range(2), batch_size=2, workers=workers))
     assert str(error.value) == "a.png: damaged; remove it"
 
 
@@ -323,7 +325,7 @@ def test_a_worker_draws_images_after_opencv_ran_threads_in_the_training_process(
     cv2.setNumThreads(2)
     try:
         cv2.GaussianBlur(np.zeros((2000, 2000, 3), np.uint8), (0, 0), 3)
-        batches = list(train.loader(Blurred(), range(4), replace(QUICK, workers=1)))
+        batches = list(load_batches(Blurred(), range(4), batch_size=2, workers=1))
     finally:
         cv2.setNumThreads(before)
     assert [len(images) for images, _, _ in batches] == [2, 2]

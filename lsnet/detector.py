@@ -115,8 +115,9 @@ class Detector:
         return automatic_scale(image.shape[:2]) if self.scale is None else self.scale
 
     def _run(self, prepared: Sequence[PreparedImage]) -> list[Maps]:
-        """Raw maps of each image; large images are run in tiles."""
-        tiles = [tiles_of(*image.padded_size) for image in prepared]
+        """Raw maps of each image; very large images are run in tiles."""
+        max_pixels = self._weights.net.config.pixels_at_once
+        tiles = [tiles_of(*image.padded_size, max_pixels) for image in prepared]
         windows = [
             image.pixels[tile.window] for image, cut in zip(prepared, tiles, strict=True) for tile in cut
         ]

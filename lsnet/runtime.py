@@ -87,7 +87,7 @@ class TorchBackend:
 
 
 class OpenVinoBackend:
-    """OpenVINO on the CPU: one stream and one thread per core, one compiled network per image size."""
+    """OpenVINO on the CPU: an image per core, fewer if they are large; a compiled network per image size."""
 
     name = "openvino"
 
@@ -104,6 +104,7 @@ class OpenVinoBackend:
         """
         self.precision = precision
         self.threads = threads or len(os.sched_getaffinity(0))
+        self._max_pixels = net.config.pixels_at_once
         example = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
         with warnings.catch_warnings():
             # The converter calls torch.jit.trace, which torch deprecates. torch.export gives the same
@@ -128,13 +129,14 @@ class OpenVinoBackend:
     def _compile(self, height: int, width: int) -> Any:
         model = self._model.clone()
         model.reshape([1, height, width, 3])
+        streams = max(1, min(self.threads, self._max_pixels // (height * width)))
         options = {
             "INFERENCE_PRECISION_HINT": self.precision if self.precision != "int8" else "f32",
-            "NUM_STREAMS": str(self.threads),
+            "NUM_STREAMS": str(streams),
             "INFERENCE_NUM_THREADS": str(self.threads),
         }
         compiled = openvino_core().compile_model(model, "CPU", options)
-        queue = import_openvino().AsyncInferQueue(compiled, self.threads)
+        queue = import_openvino().AsyncInferQueue(compiled, streams)
         queue.set_callback(_store_result)
         return queue
 

@@ -1,4 +1,4 @@
-"""Large images in overlapping tiles whose raw maps are joined before decoding.
+"""Frames that are too large for memory in overlapping tiles, whose raw maps are joined before decoding.
 
 Each position of the whole map is taken from one tile, so there are no seams and no duplicates. In that tile
 the receptive field of the `fast` network does not reach the border, so the maps equal those of the image.
@@ -7,6 +7,8 @@ the receptive field of the `fast` network does not reach the border, so the maps
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +18,9 @@ if TYPE_CHECKING:
 
     from lsnet.arrays import Maps
 
-TILE_PX = 1024  # longest side that is run in one piece
-MARGIN_PX = 144  # not taken at a tile's border: 128 px of receptive field about a cell, and one step
 STRIDE_PX = 16
+BEFORE_PX = 144  # a position of the map depends on the 135 px before the corner of its cell
+OVERLAP_PX = BEFORE_PX + 144  # and on 151 px after it; the next one is 16 px away
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,28 +38,50 @@ class Tile:
         )
 
 
-def tiles_of(height: int, width: int) -> list[Tile]:
-    """Return the tiles of an image whose sides are multiples of 16; one tile if it is small."""
+def tiles_of(height: int, width: int, max_pixels: int) -> list[Tile]:
+    """Return the tiles of an image whose sides are multiples of 16: of one size, with the fewest pixels.
+
+    Args:
+        height: Of the image, px.
+        width: Of the image, px.
+        max_pixels: Largest tile; an image of at most so many is one tile.
+    """
+    tile_height, tile_width = _tile_size(height, width, max_pixels)
     return [
         Tile((window_y, window_x), (taken_y, taken_x))
-        for window_y, taken_y in _cuts(height)
-        for window_x, taken_x in _cuts(width)
+        for window_y, taken_y in _cuts(height, tile_height)
+        for window_x, taken_x in _cuts(width, tile_width)
     ]
 
 
-def _cuts(side: int) -> Iterator[tuple[slice, slice]]:
-    """Windows along one side with the map positions taken from each; each position once."""
-    positions = side // STRIDE_PX - 1
-    if side <= TILE_PX:
-        yield slice(0, side), slice(0, positions)
-        return
-    step = TILE_PX - 2 * MARGIN_PX
-    count = -(-(side - 2 * MARGIN_PX) // step)
-    starts = [min(i * step, side - TILE_PX) for i in range(count)]
-    for i, start in enumerate(starts):
-        first = 0 if i == 0 else (start + MARGIN_PX) // STRIDE_PX
-        last = positions if i == count - 1 else (starts[i + 1] + MARGIN_PX) // STRIDE_PX
-        yield slice(start, start + TILE_PX), slice(first, last)
+@lru_cache(maxsize=16)
+def _tile_size(height: int, width: int, max_pixels: int) -> tuple[int, int]:
+    """Height and width of the tiles; the smallest ones where none are small enough."""
+    n_pixels = {
+        (tall, wide): rows * columns * tall * wide
+        for (rows, tall), (columns, wide) in product(_pieces(height), _pieces(width))
+    }
+    small = [size for size in n_pixels if size[0] * size[1] <= max_pixels]
+    return min(small, key=n_pixels.__getitem__) if small else list(n_pixels)[-1]
+
+
+def _pieces(side: int) -> list[tuple[int, int]]:
+    """Numbers of pieces that a side may be cut into, and their length, a multiple of 16."""
+    lengths = [(1, side)]
+    for number in range(2, side // OVERLAP_PX):
+        length = -(-(side + (number - 1) * OVERLAP_PX) // number)
+        lengths.append((number, length + -length % STRIDE_PX))
+    return lengths
+
+
+def _cuts(side: int, length: int) -> Iterator[tuple[slice, slice]]:
+    """Windows of a length along one side with the map positions taken from each; each position once."""
+    starts = [*range(0, side - length, max(length - OVERLAP_PX, 1)), side - length]
+    first = 0
+    for start, following in zip(starts, [*starts[1:], None], strict=True):
+        last = side // STRIDE_PX - 1 if following is None else (following + BEFORE_PX) // STRIDE_PX
+        yield slice(start, start + length), slice(first, last)
+        first = last
 
 
 def join(height: int, width: int, tiles: Sequence[Tile], maps: Sequence[Maps]) -> Maps:

@@ -16,6 +16,7 @@ from inspect_pipeline.index import publish as index_publish
 from inspect_pipeline.index.derived import input_digests
 from inspect_pipeline.index.publish import published_flights
 from inspect_pipeline.index.reading import open_index
+from inspect_pipeline.report.thumbnails import make_pictures
 from inspect_pipeline.store.feedback import load_reviews
 from inspect_pipeline.store.records import parse_json
 from inspect_pipeline.store.store import as_store
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     # Makes files of the flight of this id in its folder. Raises OSError.
     Maker = Callable[[IndexReader, Store, str], None]
 
-_MAKERS: tuple[Maker, ...] = (write_viewer_files,)
+_MAKERS: tuple[Maker, ...] = (write_viewer_files, make_pictures)
 _DIGESTS = "derived.json"
 
 

@@ -19,6 +19,12 @@ if TYPE_CHECKING:
 _SHIFT = 4  # fractional bits of the coordinates given to OpenCV
 _FAINT_RGB = np.array([90.0, 130.0, 255.0])  # two colours that neither foliage, soil nor steel has
 _SURE_RGB = np.array([255.0, 0.0, 140.0])
+# Of tracks, one after the other: bright, and apart from each other also for the colour-blind.
+_TRACK_RGB = np.array(
+    [[255, 64, 164], [0, 204, 255], [255, 225, 60], [178, 132, 255], [255, 140, 30], [120, 255, 150]],
+    np.uint8,
+)
+_NO_TRACK_RGB = np.array([235, 235, 235], np.uint8)
 _MAP_SHARE = 0.75  # of the heat map over its picture
 
 
@@ -27,6 +33,12 @@ def score_colours(scores: Floats32, min_score: float = 0.0) -> ImageArray:
     share = np.clip((np.asarray(scores) - min_score) / max(1 - min_score, 1e-6), 0, 1)[:, np.newaxis]
     colours: ImageArray = np.rint(_FAINT_RGB + share * (_SURE_RGB - _FAINT_RGB)).astype(np.uint8)
     return colours
+
+
+def track_colours(track_ids: Sequence[int | None]) -> ImageArray:
+    """Return (N, 3) RGB colours, the same for the lines of a track in all frames; grey without a track."""
+    found = [_NO_TRACK_RGB if i is None else _TRACK_RGB[i % len(_TRACK_RGB)] for i in track_ids]
+    return np.array(found, np.uint8).reshape(-1, 3)
 
 
 def draw_lines(image: ImageArray, lines: Sequence[Floats32], colours: ImageArray) -> ImageArray:

@@ -12,15 +12,17 @@ from inspect_pipeline.geometry.local_frame import LocalMetres
 from inspect_pipeline.report.words import metres, nice_step
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from inspect_pipeline.arrays import Floats
     from inspect_pipeline.report.data import Row
 
-WIDTH, _MIN_HEIGHT, _MAX_HEIGHT, _MARGIN = 720.0, 260.0, 560.0, 44.0  # in units of the drawing
+WIDTH, _MIN_HEIGHT, _MAX_HEIGHT, _MARGIN = 720.0, 240.0, 440.0, 44.0  # in units of the drawing
 _PATH_TOLERANCE = 0.7  # in units of the drawing
 _MIN_EXTENT_M = 20.0
-_LABEL_GAP = 46.0  # labels nearer to each other than this are left out
+_LABEL_GAP = 30.0  # labels nearer to each other than this are left out
+_ASIDE = 13.0  # of the line, where labels of spans and structures stand
+_UPRIGHT, _MAX_NAMES = 0.25, 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,10 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A point with its text; `target` is the id of the element it leads to."""
+    """A point with its text; `target` is the id of the element it leads to.
+
+    kind: the priority of an anomaly, or the side of a label at which the point is (SVG text-anchor).
+    """
 
     x: float
     y: float
@@ -135,7 +140,7 @@ def _fit(everything: Floats) -> tuple[_Projection, float, float]:
     per_m = min((WIDTH - 2 * _MARGIN) / extent[0], (_MAX_HEIGHT - 2 * _MARGIN) / extent[1])
     height = max(_MIN_HEIGHT, float(extent[1] * per_m) + 2 * _MARGIN)
     offset = np.array([WIDTH / 2, height / 2])
-    return _Projection(frame, middle[0], middle[1], per_m, offset), height, nice_step(140 / per_m, 1)
+    return _Projection(frame, middle[0], middle[1], per_m, offset), height, nice_step(75 / per_m, 1)
 
 
 def _add_spans(
@@ -152,30 +157,43 @@ def _add_spans(
             shares = np.array([one["first"], one["stop"]])[:, np.newaxis] / one["n_bins"]
             title, target = titles[one["span_id"]], targets.get(one["span_id"], "")
             drawn.strokes.append(Stroke(_points(start + shares * (end - start)), one["state"], title, target))
+    _add_labels(drawn, ends, spans, titles)
+
+
+def _add_labels(
+    drawn: FlightMap, ends: Mapping[str, Floats], spans: Sequence[Row], titles: Mapping[str, str]
+) -> None:
+    """Add shares to the right of the spans, structures, and their names to the left while they are few."""
     taken: list[Floats] = []
+    structures: dict[tuple[int, int], tuple[str, Floats, Floats]] = {}
     for row in spans:
-        middle = ends[row["span_id"]].mean(axis=0)
+        start, end = ends[row["span_id"]]
+        aside, middle = _to_the_right(end - start), (start + end) / 2
+        anchor = "start" if aside[0] > _UPRIGHT else "middle"
         if all(np.hypot(*(middle - other)) > _LABEL_GAP for other in taken):
             taken.append(middle)
-            along = ends[row["span_id"]][1] - ends[row["span_id"]][0]
-            aside = np.array([-along[1], along[0]]) / max(np.hypot(*along), 1e-9)
-            x, y = middle + aside * (16 if aside[0] >= 0 else -16)
             share = "?" if row["share"] is None else f"{100 * row['share']:.0f} %"
-            drawn.labels.append(
-                Mark(x, y, share, titles[row["span_id"]], target=targets.get(row["span_id"], ""))
-            )
-    for name, (x, y) in _structures(spans, ends):
-        drawn.structures.append(Mark(x, y, name, name))
+            drawn.labels.append(_mark(middle + _ASIDE * aside, share, titles[row["span_id"]], anchor))
+        for which, place in (("from", start), ("to", end)):
+            key = (round(float(place[0])), round(float(place[1])))
+            structures.setdefault(key, (row[f"{which}_structure"] or "", place, aside))
+    are_named = len(structures) <= _MAX_NAMES
+    for name, place, aside in structures.values():
+        drawn.structures.append(_mark(place, "", name))
+        if are_named and name:
+            anchor = "end" if aside[0] > _UPRIGHT else "middle"
+            drawn.labels.append(_mark(place - _ASIDE * aside, name, name, anchor))
 
 
-def _structures(spans: Sequence[Row], ends: Mapping[str, Floats]) -> Iterable[tuple[str, Floats]]:
-    """Return the structures at the ends of spans, each once; those without a name have an empty one."""
-    found = {
-        (round(float(x), 1), round(float(y), 1)): (row[f"{end}_structure"] or "", np.array([x, y]))
-        for row in spans
-        for end, (x, y) in zip(("from", "to"), ends[row["span_id"]], strict=True)
-    }
-    return found.values()
+def _mark(place: Floats, label: str, title: str, kind: str = "") -> Mark:
+    return Mark(float(place[0]), float(place[1]), label, title, kind)
+
+
+def _to_the_right(along: Floats) -> Floats:
+    """Return the unit vector across a direction (2,) that points to the right, of a level one upwards."""
+    aside: Floats = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
+    is_right = aside[0] > 0 if abs(aside[0]) > _UPRIGHT else aside[1] < 0
+    return aside if is_right else -aside
 
 
 def _describe_span(row: Row) -> str:

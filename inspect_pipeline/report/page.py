@@ -20,6 +20,8 @@ from inspect_pipeline.inspection.rules import PRIORITIES
 from inspect_pipeline.report import words
 from inspect_pipeline.report.charts import STATE_NAMES, draw_timeline
 from inspect_pipeline.report.data import load_flight
+from inspect_pipeline.report.evidence import load_evidence
+from inspect_pipeline.report.figures import make_figures
 from inspect_pipeline.report.map import draw_map
 from inspect_pipeline.resources import app_version
 from inspect_pipeline.store.images import source_path
@@ -53,8 +55,11 @@ def load_assets(*scripts: str) -> Assets:
 
 def render_flight(store: Store, flight_id: str) -> str:
     """Return the page of a flight. Raises StoreError, RulesError."""
-    data = load_flight(store, flight_id)
+    data, evidence = load_flight(store, flight_id), load_evidence(store, flight_id)
+    figures, span_figures = make_figures(store.flight_dir(flight_id), evidence)
     spans = {row["span_id"]: f"span-{number}" for number, row in enumerate(data.spans, 1)}
+    judged = _judge_spans(data, load_store_rules(store).check["min_judged_share"])
+    flown = [row["span_id"] for row in data.spans if row["passed_m"] >= row["length_m"] / 2]
     numbers = {row["anomaly_id"]: number for number, row in enumerate(data.anomalies, 1)}
     return (
         _environment()
@@ -77,10 +82,14 @@ def render_flight(store: Store, flight_id: str) -> str:
             first_findings=[row for row in data.anomalies if row["verdict"] == "open"][:_N_FIRST],
             groups=_group_findings(data),
             numbers=numbers,
+            figures=figures,
+            span_figures=span_figures,
             span_targets=spans,
-            judged=_judge_spans(data, load_store_rules(store).check["min_judged_share"]),
+            judged=judged,
             decided=[row for row in data.anomalies if row["verdict"] != "open"],
-            config=json.loads(data.settings["config"] or "{}"),
+            config=_flatten(json.loads(data.settings["config"] or "{}")),
+            n_flown=len(flown),
+            n_judged=sum(not judged.get(span_id, {"why_not": True})["why_not"] for span_id in flown),
             version=app_version(),
         )
     )
@@ -167,3 +176,14 @@ def _judge_spans(data: FlightData, min_share: float) -> Mapping[str, dict[str, A
         else:
             own["why_not"].setdefault(row["why_not"], []).append(row["kind"])
     return judged
+
+
+def _flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str | None]]:
+    """Return the settings of a run in one list, those of groups behind the name of the group."""
+    flat: list[tuple[str, str | None]] = []
+    for key, value in config.items():
+        if isinstance(value, dict):
+            flat += _flatten(value, f"{prefix}{key} ")
+        else:
+            flat.append((prefix + key, None if value is None else json.dumps(value).strip('"')))
+    return flat

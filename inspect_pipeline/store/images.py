@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote_to_bytes, urlsplit
 
 from inspect_pipeline.errors import RecordingError
+from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.store.records import ANNOTATED
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.store.records import FlightRecord
 
@@ -27,6 +31,32 @@ def open_images(flight: FlightRecord, folder: Path) -> Recording:
     if source.size_bytes != flight.source_bytes:
         raise RecordingError(source.path, "it is no longer what the flight was made from", "process it again")
     return source
+
+
+def iter_images(
+    source: Recording, wanted: Mapping[tuple[str, int], int]
+) -> Iterator[tuple[str, int, ImageArray]]:
+    """Yield topic, frame_idx and image, uint8 (height, width, 3) RGB, of those frames that have one.
+
+    Args:
+        source: the recording.
+        wanted: log times in ns by topic and frame_idx.
+
+    Raises:
+        RecordingError: the recording cannot be read, or lacks one of the topics.
+    """
+    for topic in dict.fromkeys(topic for topic, _ in wanted):
+        cameras = source.select_cameras([topic])
+        times = sorted(time_ns for (name, _), time_ns in wanted.items() if name == topic)
+        # A video is decoded from its start in any case, so once; of others only the wanted images are.
+        is_video = cameras[0].channel_id in source.video_channel_ids
+        ranges = (
+            [(times[0], times[-1])] if is_video else [(time_ns, time_ns) for time_ns in dict.fromkeys(times)]
+        )
+        for first_ns, last_ns in ranges:
+            for frame in iter_frames(source, cameras, start_ns=first_ns, end_ns=last_ns + 1):
+                if frame.image is not None and (topic, frame.frame_idx) in wanted:
+                    yield topic, frame.frame_idx, frame.image
 
 
 def source_path(source_uri: str) -> Path:

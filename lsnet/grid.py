@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from lsnet.arrays import Floats, Floats32, RealArray
 
 NEGATIVE, POSITIVE, IGNORED = 0, 1, -1
-OFF_CENTRE_PENALTY = 0.25  # a chord's length counts less by this much per pixel from the cell's centre
+OFF_CENTRE_PENALTY = (
+    0.25  # default of `GridCoder`: keeps the choice among parallel lines from being arbitrary
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +54,13 @@ class GridCoder:
         cell_px: Side of a cell.
         min_chord: Shortest chord, as a fraction of the cell, that makes a cell positive. Shorter ones are
             ignored in training, since another of the four grids has a long chord of the same stretch.
+        off_centre_penalty: A chord's length counts less by this much per pixel from the cell's centre; with
+            0, as in the paper, strictly the longest chord counts.
     """
 
     cell_px: int = 32
     min_chord: float = 0.25
+    off_centre_penalty: float = OFF_CENTRE_PENALTY
 
     @property
     def stride_px(self) -> int:
@@ -86,7 +91,7 @@ class GridCoder:
         for points in polylines:
             chords = _chords(np.asarray(points, float), boxes)
             lengths = np.hypot(chords[..., 2] - chords[..., 0], chords[..., 3] - chords[..., 1])
-            weights = lengths - OFF_CENTRE_PENALTY * _off_centre(chords, corners + self.cell_px / 2)
+            weights = lengths - self.off_centre_penalty * _off_centre(chords, corners + self.cell_px / 2)
             weights += (
                 (lengths >= self.min_chord * self.cell_px) * 2 * self.cell_px
             )  # long ones before short ones

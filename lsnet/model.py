@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 MAX_VALUES = 136 << 20  # into and out of the largest layer, 3 to 9 bytes each: 0.4 to 1.2 GiB
@@ -26,10 +27,12 @@ class LSNetConfig:
     stem_channels: int | None = (
         None  # of a stride-2 convolution before the stages; None, as in the paper, for no stem
     )
-    downsample: Literal["first", "last"] = "last"  # which convolution of a stage has stride 2
+    # How a stage halves the image: a stride of its first or last convolution, or pooling after it (LS-Net-P).
+    downsample: Literal["first", "last", "pool"] = "last"
     context_blocks: int = 0  # residual blocks of dilation 2, 4, 8 ... after the last stage
     residual: bool = False  # skip connections around the last two convolutions of a stage
     stage_blocks: int = 1  # such pairs of convolutions per stage, with `residual`
+    centred: bool = False  # put receptive fields on the centres of the cells: see `EndPadded`
     pixel_mean: float = 0.5  # of images in [0, 1]
     pixel_std: float = 0.25
 
@@ -41,20 +44,24 @@ class LSNetConfig:
             raise ValueError(f"stem and stages must halve the image {HALVINGS} times")
         if not (0 <= self.context_blocks <= 8 and 1 <= self.stage_blocks <= 8):
             raise ValueError("too many or too few blocks")
-        if self.norm not in {"group", "batch"} or self.downsample not in {"first", "last"}:
+        if self.norm not in {"group", "batch"} or self.downsample not in {
+            "first",
+            "last",
+            "pool",
+        }:
             raise ValueError("unknown norm or downsampling")
 
     @property
     def pixels_at_once(self) -> int:
         """How many pixels run at once, in one image or several: 17.8 million for the preset `fast`."""
-        first = 0 if self.downsample == "last" else 1  # halvings before the convolutions of the first stage
+        first = 1 if self.downsample == "first" else 0  # halvings before the convolutions of the first stage
         stem = [self.stem_channels] if self.stem_channels else []
         levels = enumerate([*stem, *self.stage_channels], first)
         return int(MAX_VALUES / max(2 * channels / 4**level for level, channels in levels))
 
 
 PRESETS = {
-    "paper": LSNetConfig(stage_channels=(64, 128, 256, 512), head_channels=512, norm="group"),
+    "paper": LSNetConfig(stage_channels=(64, 128, 256, 512), head_channels=512, norm="group", centred=True),
     "fast": LSNetConfig(
         stem_channels=16,
         stage_channels=(32, 48, 96),
@@ -69,15 +76,37 @@ PRESETS = {
 GROUP_SIZE = 16  # channels per group of GroupNorm; the paper leaves it open
 
 
+class EndPadded(nn.Conv2d):
+    """A convolution of stride 2 that pads below and to the right only.
+
+    Padded on all sides, output i is centred on input 2 i, half an input pixel before the middle of the pair
+    that it replaces. After four such convolutions the receptive field of a cell is centred 7.5 px before the
+    cell's centre. Moving the last by one of its input pixels, which are 8 px apart, leaves 0.5 px.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (N, C, H, W) to half the height and width."""
+        return super().forward(F.pad(x, (0, 1, 0, 1)))
+
+
 class ConvNormAct(nn.Sequential):
     """Convolution, normalisation, ReLU ("we adopt Group Normalization before activations")."""
 
     def __init__(
-        self, c_in: int, c_out: int, norm: str, *, kernel: int = 3, stride: int = 1, dilation: int = 1
+        self,
+        c_in: int,
+        c_out: int,
+        norm: str,
+        *,
+        kernel: int = 3,
+        stride: int = 1,
+        dilation: int = 1,
+        end_padded: bool = False,
     ) -> None:
-        padding = dilation if kernel == 3 else 0  # no padding in the heads
+        is_padded = kernel == 3 and not end_padded  # no padding in the heads
+        convolution = EndPadded if end_padded else nn.Conv2d
         super().__init__(
-            nn.Conv2d(c_in, c_out, kernel, stride, padding, dilation, bias=False),
+            convolution(c_in, c_out, kernel, stride, dilation if is_padded else 0, dilation, bias=False),
             nn.GroupNorm(c_out // GROUP_SIZE, c_out) if norm == "group" else nn.BatchNorm2d(c_out),
             nn.ReLU(inplace=True),
         )
@@ -108,24 +137,25 @@ class FeatureExtractor(nn.Sequential):
         if config.stem_channels:
             layers.append(ConvNormAct(c_in, config.stem_channels, config.norm, stride=2))
             c_in = config.stem_channels
-        for c_out in config.stage_channels:
-            layers += self._stage(c_in, c_out, config)
+        for i, c_out in enumerate(config.stage_channels, 1):
+            end_padded = config.centred and i == len(config.stage_channels)
+            layers += self._stage(c_in, c_out, config, end_padded=end_padded)
             c_in = c_out
         layers += [Residual(c_in, config.norm, dilation=2 << i) for i in range(config.context_blocks)]
         super().__init__(*layers)
 
     @staticmethod
-    def _stage(c_in: int, c_out: int, config: LSNetConfig) -> list[nn.Module]:
-        if config.downsample == "last":
-            return [
-                ConvNormAct(c_in, c_out, config.norm),
-                ConvNormAct(c_out, c_out, config.norm),
-                ConvNormAct(c_out, c_out, config.norm, stride=2),
-            ]
-        first = ConvNormAct(c_in, c_out, config.norm, stride=2)
-        if config.residual:
-            return [first, *(Residual(c_out, config.norm) for _ in range(config.stage_blocks))]
-        return [first, ConvNormAct(c_out, c_out, config.norm), ConvNormAct(c_out, c_out, config.norm)]
+    def _stage(c_in: int, c_out: int, config: LSNetConfig, *, end_padded: bool) -> list[nn.Module]:
+        norm = config.norm
+        if config.downsample == "first":
+            first = ConvNormAct(c_in, c_out, norm, stride=2, end_padded=end_padded)
+            if config.residual:
+                return [first, *(Residual(c_out, norm) for _ in range(config.stage_blocks))]
+            return [first, ConvNormAct(c_out, c_out, norm), ConvNormAct(c_out, c_out, norm)]
+        pair = [ConvNormAct(c_in, c_out, norm), ConvNormAct(c_out, c_out, norm)]
+        if config.downsample == "pool":
+            return [*pair, ConvNormAct(c_out, c_out, norm), nn.MaxPool2d(2)]
+        return [*pair, ConvNormAct(c_out, c_out, norm, stride=2, end_padded=end_padded)]
 
 
 class Head(nn.Sequential):

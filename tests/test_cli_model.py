@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -16,8 +17,7 @@ from typer.testing import CliRunner
 import cli
 from lsnet import LSNetError, load_weights, model
 from lsnet.evaluation.compare import compare
-from lsnet.training import checkpoints
-from lsnet.training import trainer as train
+from lsnet.training import checkpoints, recipe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -123,7 +123,7 @@ def test_eval_of_no_images_is_one_line() -> None:
 
 
 def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(train.TrainConfig.__init__, "__defaults__", _with_few_validation_images())
+    _validate_on_few_images(monkeypatch)
     photos(tmp_path / "photos")
     words = ("--run", "run", "--background", "photos:1", "--preset", "tiny", "--crop", 64)
     steps = ("--steps", 4, "--batch-size", 2, "--validate-every", 2, "--workers", 0)
@@ -145,6 +145,32 @@ def test_train_and_export_and_detect(tmp_path: Path, monkeypatch: pytest.MonkeyP
         cli.app, ["detect", "photos/0.png", "--json", "--weights", "mine.safetensors", "--runtime", "torch"]
     )
     assert json.loads(found.stdout)["path"] == "photos/0.png"
+
+
+def test_train_by_the_recipe_of_the_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _validate_on_few_images(monkeypatch)
+    words = ("--run", "run", "--background", photos(tmp_path / "photos"), "--preset", "tiny", "--crop", 64)
+    steps = ("--steps", 1, "--batch-size", 2, "--validate-every", 1, "--workers", 0, "--device", "cpu")
+    result = run("train", "--recipe", "paper", "--loss", "weight=3", *words, *steps)
+    assert (result.exit_code, result.stderr) == (0, "")
+    kept = checkpoints.load_checkpoint(tmp_path / "run/best.pt")["recipe"]
+    assert (kept["learning_rate"], kept["schedule"], kept["clip_norm"]) == (1e-4, "constant", None)
+    assert (kept["loss"]["weight"], kept["off_centre_penalty"]) == (3.0, 0.0)
+    assert kept["data"].endswith("last tenth held out, augmentations of the paper")
+
+
+def test_eval_by_the_protocol_of_the_paper_with_other_options(tmp_path: Path) -> None:
+    write_masks(tmp_path / "m")
+    words = ("eval", "m", "--paper", "--json", *TINY_RUN)
+    for options, expected in (((), (0.4, 1.0)), (("--min-score", 0.7, "--sigma", 2), (0.7, 2.0))):
+        rows = [json.loads(line) for line in run(*words, *options).stdout.splitlines()][3:]
+        assert len(rows) == 10
+        assert {(row["min_score"], row["sigma_px"]) for row in rows} == {expected}
+
+
+def test_grids_of_a_rival_are_one_line() -> None:
+    result = run("eval", "m", "--rival", "lsd", "--grids", "M")
+    assert "only LS-Net has grids; leave out the grids or the rival" in str(result.exception)
 
 
 def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,19 +200,19 @@ def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: p
 
 def test_synth_and_train_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mitsuba")
-    monkeypatch.setattr(train.TrainConfig.__init__, "__defaults__", _with_few_validation_images())
+    _validate_on_few_images(monkeypatch)
     made = run("synth", "-o", "renders", "--count", 1, "--size", 64)
     assert made.stdout == "renders: 1 pictures; next: lsnet-pipe model train --rendered renders\n"
     words = ("--run", "run", "--rendered", "renders", "--preset", "tiny", "--crop", 64, "--workers", 0)
     trained = run("train", *words, "--steps", 1, "--batch-size", 2, "--validate-every", 1)
     assert (trained.exit_code, trained.stderr) == (0, "")
-    recipe = checkpoints.load_checkpoint(tmp_path / "run/last.pt")["recipe"]
-    assert recipe["data"] == "renders over plain grounds, 64 px, seed 0"
+    kept = checkpoints.load_checkpoint(tmp_path / "run/last.pt")["recipe"]
+    assert kept["data"] == "renders over plain grounds, 64 px, seed 0, last tenth held out"
 
 
-def _with_few_validation_images() -> tuple[object, ...]:
-    defaults = train.TrainConfig.__init__.__defaults__
-    return tuple(2 if value == 256 else value for value in defaults)
+def _validate_on_few_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, defaults in recipe.RECIPES.items():
+        monkeypatch.setitem(recipe.RECIPES, name, replace(defaults, validation_images=2))
 
 
 @pytest.mark.parametrize(
@@ -198,6 +224,8 @@ def _with_few_validation_images() -> tuple[object, ...]:
         (("--data", "none"), "labelled images need other ones for validation"),
         (("--data", "none", "--validation", "none"), "none: not a folder"),
         (("--start", "none.pt"), "none.pt: missing or damaged"),
+        (("--loss", "delta=1"), "no option 'delta=1'; give NAME=VALUE with one of classification"),
+        (("--network", "norm=layer"), "option 'norm=layer' cannot be used: unknown norm"),
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, tuple) else "",
 )

@@ -1,7 +1,9 @@
-"""`lsnet-pipe model`: train and export networks, make training data; see also model_eval.py."""
+"""`lsnet-pipe model`: draw training data, train and export networks; see `model_eval` for their scores."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,13 +14,28 @@ from inspect_pipeline.commands.options import BackgroundOption, RunOption, Runti
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
-    from lsnet.training.trainer import TrainingProgress
+    from lsnet.training.recipe import TrainingProgress
 
 app = typer.Typer(
     help="Train, export, evaluate and time networks.",
     epilog="Example: lsnet-pipe model bench",
     no_args_is_help=True,
 )
+
+
+class Recipe(StrEnum):
+    """Values of `--recipe`."""
+
+    DEFAULT = "default"
+    PAPER = "paper"
+
+
+class Device(StrEnum):
+    """Values of `--device`."""
+
+    AUTO = "auto"
+    CUDA = "cuda"
+    CPU = "cpu"
 
 
 def train(
@@ -37,13 +54,45 @@ def train(
     label: Annotated[
         list[str] | None, typer.Option(help="Label that counts as a line; may be repeated. Default: all.")
     ] = None,
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Network: paper or fast.")] = "fast",
+    recipe: Annotated[
+        Recipe, typer.Option(help="Optimizer, schedule and augmentations; paper: those of the paper.")
+    ] = Recipe.DEFAULT,
+    preset: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Network: paper or fast. Default: fast.")
+    ] = None,
+    network: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Change the network, as downsample=pool; may be repeated."),
+    ] = None,
+    loss: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help="Change the loss, as gamma=1 or regression=l2; may be repeated."
+        ),
+    ] = None,
+    longest: Annotated[
+        bool,
+        typer.Option(
+            "--longest", help="Strictly the longest segment of a cell counts, as with --recipe paper."
+        ),
+    ] = False,
     steps: Annotated[int, typer.Option(min=1, metavar="N", help="Number of batches.")] = 10_000,
     batch_size: Annotated[int, typer.Option(min=1, metavar="N", help="Images in a batch.")] = 8,
-    learning_rate: Annotated[float, typer.Option(min=0.0, metavar="RATE", help="Peak learning rate.")] = 2e-3,
-    crop: Annotated[int, typer.Option(min=64, help="Side of the training images, px.")] = 384,
+    learning_rate: Annotated[
+        float | None,
+        typer.Option(min=0.0, metavar="RATE", help="Peak learning rate. Default: 0.002; paper: 0.0001."),
+    ] = None,
+    crop: Annotated[
+        int | None,
+        typer.Option(min=64, metavar="PX", help="Side of the training images. Default: 384; paper: 512."),
+    ] = None,
     validate_every: Annotated[int, typer.Option(min=1, help="Steps between validations.")] = 500,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the images and the initial weights.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=999_999, help="Seed of the images and the initial weights.")
+    ] = 0,
+    device: Annotated[
+        Device, typer.Option(help="Where to train. Default: a GPU if torch can use one.")
+    ] = Device.AUTO,
     threads: Annotated[int, typer.Option(min=1, help="Threads of the training process.")] = 1,
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw images.")] = 1,
     start: Annotated[
@@ -54,7 +103,7 @@ def train(
         ),
     ] = None,
 ) -> None:
-    """Train a network on drawn or labelled images.
+    """Train a network on drawn, rendered or labelled images.
 
     Labels are labelme or COCO. A run that was killed continues when it is started again. Training stops when
     the validation loss no longer improves.
@@ -63,29 +112,41 @@ def train(
     Examples:
       lsnet-pipe model train --run runs/a --background photos:500
       lsnet-pipe model train --run runs/b --data rails/train --validation rails/val --start fast
+      lsnet-pipe model train --run runs/c --recipe paper --preset paper --rendered renders --background photos
+      lsnet-pipe model train --run runs/d --loss regression=l2 --network downsample=pool --preset paper
     """
-    from lsnet.errors import LSNetError
-    from lsnet.model import PRESETS
+    from lsnet.training.recipe import RECIPES
     from lsnet.training.sources import TrainingData, open_sources
-    from lsnet.training.trainer import TrainConfig, Trainer
+    from lsnet.training.tasks import open_task
+    from lsnet.training.trainer import Trainer
 
-    if preset not in PRESETS:
-        raise LSNetError(f"no preset {preset!r}; choose one of {', '.join(PRESETS)}")
+    is_paper = recipe == Recipe.PAPER
+    defaults = RECIPES[recipe.value]
     sources = TrainingData(
-        tuple(background or ()), data, validation, tuple(label or ()), crop, seed, rendered
+        backgrounds=tuple(background or ()),
+        data=data,
+        validation=validation,
+        labels=tuple(label or ()),
+        size=crop or (512 if is_paper else 384),
+        seed=seed,
+        rendered=rendered,
+        augmentation="paper" if is_paper else "all",
     )
-    config = TrainConfig(
-        preset=preset,
+    config = replace(
+        defaults,
+        preset=preset or defaults.preset,
         steps=steps,
         batch_size=batch_size,
-        learning_rate=learning_rate,
+        learning_rate=defaults.learning_rate if learning_rate is None else learning_rate,
         validate_every=validate_every,
         threads=threads,
         workers=workers,
+        device=device.value,
         data=sources.describe(),
     )
+    task = open_task(config.preset, network or (), loss or (), longest=longest or is_paper)
     train_on, validate_on = open_sources(sources)
-    trainer = Trainer(config, run, seed=seed, start=start)
+    trainer = Trainer(config, run, seed=seed, start=start, task=task)
     with progress_bar("train", steps, done=trainer.step) as advance:
         trainer.run(train_on, validate_on, report=lambda state: advance(_describe(state), state.step))
     typer.echo(f"{run / 'best.pt'}: validation loss {trainer.best_loss:.4f}; next: lsnet-pipe model export")
@@ -94,7 +155,8 @@ def train(
 def _describe(state: TrainingProgress) -> str:
     text = f"loss {state.loss:.3f} (cells {state.classification:.3f}, endpoints {state.regression:.3f})"
     if state.validation_loss is not None:
-        text += f", validation {state.validation_loss:.4f}"
+        text += f", validation {state.validation_loss:.4f} (cells {state.validation_classification:.4f}, "
+        text += f"endpoints {state.validation_regression:.4f})"
     return f"{text}, {state.images_per_s:.1f} images/s"
 
 

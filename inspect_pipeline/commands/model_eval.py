@@ -1,4 +1,4 @@
-"""`lsnet-pipe model eval`, `compare` and `bench`: how good and how fast networks are."""
+"""`lsnet-pipe model eval|compare|bench`: score and time networks."""
 
 from __future__ import annotations
 
@@ -45,6 +45,12 @@ def evaluate(
     paper: Annotated[
         bool, typer.Option("--paper", help="Add ARR, APR and F1 of the paper, by line width.")
     ] = False,
+    sigma: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=20.0, metavar="PX", help="With --paper: width of the Gaussian before Otsu."
+        ),
+    ] = 1.0,
     synthetic: Annotated[
         int, typer.Option(metavar="N", min=0, help="Add N drawn images: sAP, and scores by cable.")
     ] = 0,
@@ -54,26 +60,39 @@ def evaluate(
         typer.Option(metavar="NAME", help="Evaluate another detector: lsd, or the .tflite file of M-LSD."),
     ] = None,
     grids: Annotated[
-        str, typer.Option(metavar="LETTERS", help="Grids to use: main, horizontal, vertical, central.")
-    ] = "MHVC",
+        str | None,
+        typer.Option(
+            metavar="LETTERS", help="Grids to use: main, horizontal, vertical, central. Default: all, MHVC."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score weights on folders of images.
 
     A folder has ID.jpg with ID.boundary.png (contours of the cables), images/ with masks/, or images without
-    truth, for which the share with a detection is reported. ODS is the best F1 over score thresholds.
+    truth, for which the share with a detection is reported. ODS is the best F1 over score thresholds. The
+    scores of --paper are those of the segments from --min-score on.
 
     \b
     Examples:
       lsnet-pipe model eval photos/with_masks photos/without_lines --use lines
+      lsnet-pipe model eval photos/with_masks --paper --min-score 0.5 --sigma 2
       lsnet-pipe model eval --synthetic 200 --background photos/without_lines
     """
     from lsnet.evaluation.report import EvalTask, evaluate_all, open_line_detector
 
-    task = EvalTask(tuple(folders or ()), use.value, paper, synthetic, tuple(background or ()))
     detector, own = open_line_detector(weights, runtime, rival, grids)
+    task = EvalTask(
+        folders=tuple(folders or ()),
+        min_score=own if min_score is None else min_score,
+        use=use.value,
+        paper=paper,
+        sigma_px=sigma,
+        synthetic=synthetic,
+        backgrounds=tuple(background or ()),
+    )
     with progress_bar("eval", task.count_images()) as advance:
-        reports = evaluate_all(detector, task, own if min_score is None else min_score, on_image=advance)
+        reports = evaluate_all(detector, task, on_image=advance)
     for report in reports:
         typer.echo(json.dumps(asdict(report)) if as_json else str(report))
 

@@ -82,11 +82,15 @@ def pixel_scores(counts: Ints, thresholds: RealArray) -> list[PixelScore]:
 
 
 def rates(counts: Ints) -> Floats:
-    """Return (..., 3) precision, recall and F1 from (..., 4) counts."""
+    """Return (..., 3) precision, recall and F1 from (..., 4) counts.
+
+    Where nothing is true and nothing is drawn, all three are 1. Where only one of both is empty, they are 0.
+    """
     precision = counts[..., 0] / np.maximum(counts[..., 1], 1)
     recall = counts[..., 2] / np.maximum(counts[..., 3], 1)
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-9)
-    return np.stack([precision, recall, f1], axis=-1)
+    is_rightly_empty = (counts[..., 1] == 0) & (counts[..., 3] == 0)
+    return np.where(is_rightly_empty[..., None], 1.0, np.stack([precision, recall, f1], axis=-1))
 
 
 def structural_ap(

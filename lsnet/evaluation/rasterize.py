@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from lsnet.arrays import Floats32, Mask
     from lsnet.segments import Segments
 
+SIGMA_PX = 1.0  # of the Gaussian, whose width the paper leaves open: the default of scikit-image's `gaussian`
+
 
 def confidence_map(segments: Segments, width_px: int = 1) -> Floats32:
     """Draw segments as 8-connected Bresenham lines; (H, W) float32, the highest score at each pixel.
@@ -31,8 +33,8 @@ def confidence_map(segments: Segments, width_px: int = 1) -> Floats32:
     return drawn
 
 
-def smoothed(confidence: Floats32, sigma_px: float = 1.0) -> Floats32:
-    """Filter the map by a Gaussian, whose width the paper leaves open."""
+def smoothed(confidence: Floats32, sigma_px: float = SIGMA_PX) -> Floats32:
+    """Filter the map by a Gaussian."""
     return np.asarray(cv2.GaussianBlur(confidence, (0, 0), sigma_px), np.float32)
 
 

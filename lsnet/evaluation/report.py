@@ -13,8 +13,9 @@ from lsnet.evaluation.baselines.mlsd import MLSD
 from lsnet.evaluation.cables import evaluate_cables
 from lsnet.evaluation.datasets import images_of
 from lsnet.evaluation.grids import OnlyGrids
-from lsnet.evaluation.paper import evaluate_as_paper
+from lsnet.evaluation.paper import PaperProtocol, evaluate_as_paper
 from lsnet.evaluation.pixels import evaluate
+from lsnet.evaluation.rasterize import SIGMA_PX
 from lsnet.runtime import open_backend
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
@@ -39,17 +40,21 @@ class EvalTask:
 
     Attributes:
         folders: Evaluation sets.
+        min_score: Score from which a detection counts.
         use: Score segments or lines.
         paper: Also compute the paper's scores.
+        sigma_px: Width of the Gaussian of these.
         synthetic: Number of synthetic images.
         backgrounds: DIR or DIR:FIRST, for the synthetic images.
     """
 
     folders: tuple[Path, ...]
-    use: Use
-    paper: bool
-    synthetic: int
-    backgrounds: tuple[str, ...]
+    min_score: float
+    use: Use = "segments"
+    paper: bool = False
+    sigma_px: float = SIGMA_PX
+    synthetic: int = 0
+    backgrounds: tuple[str, ...] = ()
 
     def count_images(self) -> int:
         """Return how many images will be detected in.
@@ -70,7 +75,7 @@ class EvalTask:
 
 
 def open_line_detector(
-    weights: str, runtime: str, rival: str | None, grids: str = "MHVC"
+    weights: str, runtime: str, rival: str | None, grids: str | None = None
 ) -> tuple[LineDetector, float]:
     """Open the detector to evaluate, with a threshold of 0.05; return it with its default threshold.
 
@@ -78,11 +83,13 @@ def open_line_detector(
         weights: Name or file of weights.
         runtime: As in `Detector.load`.
         rival: Another detector instead: lsd, or the path of M-LSD's .tflite file.
-        grids: Letters of the grids to use, as in `OnlyGrids`.
+        grids: Letters of the grids to use, as in `OnlyGrids`. Default: all.
 
     Raises:
         LSNetError: One of them is unknown or cannot be used.
     """
+    if rival and grids:
+        raise LSNetError("only LS-Net has grids; leave out the grids or the rival")
     if rival == "lsd":
         return LSD(), LSD.min_score
     if rival and rival.endswith(".tflite"):
@@ -90,19 +97,21 @@ def open_line_detector(
     if rival:
         raise LSNetError(f"no rival {rival!r}; give lsd, or the path of M-LSD's .tflite file")
     loaded = load_weights(weights)
-    backend = OnlyGrids(open_backend(loaded.net, runtime), grids)
+    backend = OnlyGrids(open_backend(loaded.net, runtime), grids or "MHVC")
     return Detector(loaded, backend, loaded.card.scale, min_score=0.05), loaded.card.min_score
 
 
 def evaluate_all(
-    detector: LineDetector, task: EvalTask, min_score: float, on_image: Callable[[], None] = lambda: None
+    detector: LineDetector, task: EvalTask, on_image: Callable[[], None] = lambda: None
 ) -> list[Report]:
     """Return the reports of the folders in order, then of the synthetic images."""
     reports: list[Report] = []
+    min_score = task.min_score
+    protocol = PaperProtocol(min_score=min_score, sigma_px=task.sigma_px, use=task.use)
     for folder in task.folders:
         reports += evaluate(detector, folder, min_score=min_score, use=task.use, on_image=on_image)
         if task.paper:
-            reports += evaluate_as_paper(detector, folder, use=task.use, on_image=on_image)
+            reports += evaluate_as_paper(detector, folder, protocol, on_image)
     if task.synthetic:
         pool = BackgroundPool([BackgroundFolder.parse(text) for text in task.backgrounds])
         scenes = SyntheticScenes(pool, seed=EVALUATION_SEED)

@@ -104,6 +104,9 @@ PHOTOMETRIC: tuple[Callable[[FloatImage, Rng], FloatImage], ...] = (
 )
 
 
+PAPER = (gaussian_blur, brightness, saturation, contrast, hue, grey, gaussian_noise)  # those of the paper
+
+
 def elastic(image: FloatImage, lines: Sequence[Points], rng: Rng) -> tuple[FloatImage, list[Points]]:
     """Deform image and lines by displacement fields rand(-1, 1), smoothed by a Gaussian and scaled by alpha.
 
@@ -131,12 +134,17 @@ def _pull_back(points: Points, dx: FloatImage, dy: FloatImage) -> Points:
     return p
 
 
-def augment(image: FloatImage, lines: Sequence[Points], rng: Rng) -> tuple[FloatImage, list[Points]]:
-    """Apply each technique with probability 0.25, in the order from scene to file."""
+def augment(
+    image: FloatImage,
+    lines: Sequence[Points],
+    rng: Rng,
+    techniques: Sequence[Callable[[FloatImage, Rng], FloatImage]] = PHOTOMETRIC,
+) -> tuple[FloatImage, list[Points]]:
+    """Apply `elastic` and each technique with probability 0.25, in the order from scene to file."""
     lines = list(lines)
     if rng.random() < PROBABILITY:
         image, lines = elastic(image, lines, rng)
-    for technique in PHOTOMETRIC:
+    for technique in techniques:
         if rng.random() < PROBABILITY:
             image = technique(image, rng)
     return image, lines

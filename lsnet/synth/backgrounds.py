@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
@@ -17,8 +17,11 @@ if TYPE_CHECKING:
 
     from lsnet.arrays import FloatImage, ImageArray, Rng
 
+Part = Literal["all", "training", "held out"]
+
 
 PLAIN_SHARE = 0.22  # share of drawn plain grounds: asphalt, concrete and sky are rare among photographs
+HELD_OUT_SHARE = 0.1  # of a folder: the last files by name, since neighbours are often of one flight
 VEGETATION_SHARE = 0.2  # share of drawn vegetation, from near enough to see single leaves
 
 
@@ -28,12 +31,14 @@ class BackgroundFolder:
 
     path: Path
     first: int | None = None
+    part: Part = "all"  # training and held-out files differ
 
     @classmethod
-    def parse(cls, text: str) -> BackgroundFolder:
+    def parse(cls, text: str, part: Part = "all") -> BackgroundFolder:
         """Parse DIR or DIR:FIRST."""
         head, _, tail = text.rpartition(":")
-        return cls(Path(head), int(tail)) if head and tail.isdecimal() else cls(Path(text))
+        has_count = bool(head) and tail.isdecimal()
+        return cls(Path(head), int(tail), part) if has_count else cls(Path(text), part=part)
 
     def __str__(self) -> str:
         return f"{self.path.name}, first {self.first}" if self.first else self.path.name
@@ -47,24 +52,34 @@ class BackgroundFolder:
             raise LSNetError(
                 f"{self.path}: no images in this folder; give a folder of photographs without lines"
             )
-        return files
+        return part_of(files, self.part)
+
+
+def part_of(files: list[Path], part: Part) -> list[Path]:
+    """Return the files for training or those held out; a single file is in both parts."""
+    held_out = max(1, round(HELD_OUT_SHARE * len(files)))
+    if part == "training":
+        return files[:-held_out] or files
+    return files[-held_out:] if part == "held out" else files
 
 
 class BackgroundPool:
     """Photographs in memory, cropped at random place and scale.
 
     A folder is used in proportion to the square root of its number of pixels: large photographs more often
-    than thumbnails, without dominating.
+    than thumbnails, without dominating. With `drawn`, a share of the grounds is drawn instead; all are, if
+    there are no folders.
     """
 
-    def __init__(self, folders: Sequence[BackgroundFolder]) -> None:
+    def __init__(self, folders: Sequence[BackgroundFolder], *, drawn: bool = True) -> None:
+        self._drawn = drawn or not folders
         self._folders = [[load_rgb(f) for f in folder.files()] for folder in folders]
         weights = np.sqrt([sum(photo.size for photo in photos) for photos in self._folders])
         self._shares = weights / weights.sum()
 
     def sample(self, rng: Rng, size: int) -> FloatImage:
         """Return a random float32 (size, size, 3) background."""
-        kind = rng.random()
+        kind = rng.random() if self._drawn else 1.0
         if kind < VEGETATION_SHARE:
             return vegetation(rng, size)
         if not self._folders or kind < VEGETATION_SHARE + PLAIN_SHARE:

@@ -1,4 +1,4 @@
-"""Samples of training images in batches, encoded in worker processes."""
+"""Samples as batches of tensors, encoded in worker processes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from lsnet.errors import LSNetError
-from lsnet.grid import GridCoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,25 +17,27 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lsnet.synth.dataset import SampleSource
+    from lsnet.training.tasks import Task
 
-    Batch = tuple[Tensor, Tensor, Tensor]
+    Batch = list[Tensor]
 
 
-class _Encoded(Dataset["Batch"]):
-    """Samples as tensors: image (3, H, W) uint8, labels (R, C), endpoints (R, C, 4)."""
+class _Encoded(Dataset["tuple[Tensor, ...]"]):
+    """Samples as tensors: image (3, H, W) uint8, and the targets of the task."""
 
-    def __init__(self, samples: SampleSource, coder: GridCoder) -> None:
-        self._samples, self._coder = samples, coder
+    def __init__(self, samples: SampleSource, task: Task) -> None:
+        self._samples, self._task = samples, task
 
-    def __getitem__(self, index: int) -> Batch:
+    def __getitem__(self, index: int) -> tuple[Tensor, ...]:
         sample = self._samples[index]
-        targets = self._coder.encode(sample.lines, (self._samples.size, self._samples.size))
         image = torch.from_numpy(np.ascontiguousarray(sample.image.transpose(2, 0, 1)))
-        return image, torch.from_numpy(targets.labels), torch.from_numpy(targets.endpoints)
+        return image, *self._task.encode(sample)
 
 
-def load_batches(samples: SampleSource, indices: range, *, batch_size: int, workers: int) -> Iterator[Batch]:
-    """Yield the samples of `indices` in batches, in order, encoded in worker processes.
+def load_batches(
+    samples: SampleSource, indices: range, task: Task, *, batch_size: int, workers: int
+) -> Iterator[Batch]:
+    """Yield the samples of `indices` in batches, in order: images, then the targets of the task.
 
     With workers, OpenCV runs on one thread from then on: a forked worker has no copies of OpenCV's threads,
     and would wait for them forever.
@@ -47,7 +48,7 @@ def load_batches(samples: SampleSource, indices: range, *, batch_size: int, work
     if workers:
         cv2.setNumThreads(0)
     batches = DataLoader(
-        _Encoded(samples, GridCoder()),
+        _Encoded(samples, task),
         batch_size=batch_size,
         sampler=indices,
         num_workers=workers,

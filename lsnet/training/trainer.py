@@ -1,4 +1,4 @@
-"""Training on the CPU (Section III-D), from synthetic or labelled images to checkpoints.
+"""Training (Section III-D), from synthetic or labelled images to checkpoints.
 
 The folder of a run holds `last.pt` (the state to continue from), `best.pt` (the averaged weights with the
 least validation loss) and `log.jsonl`. An interrupted run continues from `last.pt`, with the samples that it
@@ -10,8 +10,8 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, replace
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,58 +19,23 @@ import torch
 
 from lsnet.errors import LSNetError
 from lsnet.files import make_folder
-from lsnet.losses import LossParts, MultiTaskLoss
-from lsnet.model import PRESETS, LSNet, LSNetConfig
+from lsnet.losses import LossParts, LossSums
+from lsnet.model import PRESETS
 from lsnet.training.batches import load_batches
-from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint, save_checkpoint
-from lsnet.training.pruning import slim
-from lsnet.weights import load_weights
+from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint, other_options, read_start, save_checkpoint
+from lsnet.training.devices import autocast, choose_device
+from lsnet.training.recipe import TrainConfig, TrainingProgress, learning_rate_at
+from lsnet.training.tasks import LSNetTask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from torch import nn
 
     from lsnet.synth.dataset import SampleSource
     from lsnet.training.batches import Batch
-
-
-@dataclass(frozen=True, slots=True)
-class TrainConfig:
-    """Recipe of one run."""
-
-    preset: str = "fast"
-    steps: int = 10_000
-    batch_size: int = 8
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.01
-    warmup_steps: int = 200
-    ema_decay: float = 0.998  # of the averaged weights, which are exported
-    validate_every: int = 500
-    validation_images: int = 256
-    patience: int = 12  # validations without improvement before the run stops
-    threads: int = 1
-    workers: int = 1
-    data: str = ""  # description of the training data
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingProgress:
-    """Report during training: mean losses since the last report."""
-
-    step: int
-    steps: int
-    loss: float
-    classification: float
-    regression: float
-    images_per_s: float
-    validation_loss: float | None = None
-
-
-def learning_rate_at(step: int, config: TrainConfig) -> float:
-    """Return the learning rate: linear warm-up, then a cosine down to a hundredth."""
-    if step < config.warmup_steps:
-        return config.learning_rate * (step + 1) / config.warmup_steps
-    t = (step - config.warmup_steps) / max(1, config.steps - config.warmup_steps)
-    return config.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(t, 1.0))))
+    from lsnet.training.tasks import Task
 
 
 class Trainer:
@@ -83,8 +48,7 @@ class Trainer:
         *,
         seed: int = 0,
         start: str | Path | None = None,
-        network: LSNetConfig | None = None,
-        loss: MultiTaskLoss | None = None,
+        task: Task | None = None,
     ) -> None:
         """Start a run, or continue the one in the folder.
 
@@ -94,30 +58,34 @@ class Trainer:
             seed: Of the initial weights.
             start: Initial weights: the `best.pt` of another run, or as in `load_weights`. A narrower network
                 takes their most important channels.
-            network: Replaces that of the preset, for comparisons.
-            loss: Replaces the default loss.
+            task: Network, targets and loss. Default: LS-Net of the preset with the default loss.
 
         Raises:
-            LSNetError: The folder holds a run with other recipe, or the network does not fit.
+            LSNetError: The folder holds a run with other options, or the network or the device does not fit.
         """
         torch.manual_seed(seed)
         torch.set_num_threads(config.threads)
         self.config, self.run_dir = config, run_dir
-        network = network or PRESETS[config.preset]
-        self.net = LSNet(network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = LSNet(network).eval()
+        self.task: Task = task or LSNetTask(PRESETS[config.preset])
+        self.device = choose_device(config.device)
+        self.net = self._build()
+        self.average = self._build().eval()
         self.optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
-        self.loss = loss or MultiTaskLoss()
         self.step, self.best_loss, self.bad_validations = 0, math.inf, 0
+        started, self._start_sha256 = read_start(start, self.net) if start else ({}, "")
         make_folder(run_dir)
         if (run_dir / "last.pt").exists():
             self._restore()
-        elif start:
-            self._begin_with(start)
+        elif started:
+            self.net.load_state_dict(started)
         if self.step == 0:
             self.average.load_state_dict(self.net.state_dict())
+
+    def _build(self) -> nn.Module:
+        net: nn.Module = self.task.build().to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return net
 
     def run(
         self, samples: SampleSource, validation: SampleSource, report: Callable[[TrainingProgress], None]
@@ -130,28 +98,37 @@ class Trainer:
         config = self.config
         if self.step >= config.steps or self.bad_validations >= config.patience:
             return
-        sizes = {"batch_size": config.batch_size, "workers": config.workers}
-        validation_batches = list(load_batches(validation, range(config.validation_images), **sizes))
-        first, last = self.step * config.batch_size, config.steps * config.batch_size
-        batches = load_batches(samples, range(first, last), **sizes)
-        for progress in self._epoch(batches):
+        validation_batches = list(self.batches(validation, range(config.validation_images)))
+        indices = range(self.step * config.batch_size, config.steps * config.batch_size)
+        for progress in self._epoch(self.batches(samples, indices)):
             if not self._is_validation_due():
                 report(progress)
                 continue
-            loss = self.validate(validation_batches)
-            if not math.isfinite(loss):
+            losses = [float(part) for part in self.validate(validation_batches)]
+            if not math.isfinite(losses[0]):
                 raise LSNetError(f"{self.run_dir}: the loss is no longer finite; lower the learning rate")
-            report(replace(progress, validation_loss=loss))
-            self._log(replace(progress, validation_loss=loss))
-            self._keep(loss)
+            validated = replace(
+                progress,
+                validation_loss=losses[0],
+                validation_classification=losses[1],
+                validation_regression=losses[2],
+            )
+            report(validated)
+            self._log(validated)
+            self._keep(losses[0])
             if self.bad_validations >= config.patience:
                 return
 
-    def validate(self, batches: list[Batch]) -> float:
-        """Return the mean loss of the averaged network."""
+    def batches(self, samples: SampleSource, indices: range) -> Iterator[Batch]:
+        """Yield the samples of `indices` in batches of the recipe."""
+        sizes = {"batch_size": self.config.batch_size, "workers": self.config.workers}
+        return load_batches(samples, indices, self.task, **sizes)
+
+    def validate(self, batches: list[Batch]) -> LossParts:
+        """Return the losses of the averaged network over the cells of all batches."""
         with torch.no_grad():
-            losses = [float(self._losses(self.average, batch).total) for batch in batches]
-        return sum(losses) / len(losses)
+            sums = [self._sums(self.average, batch) for batch in batches]
+        return reduce(LossSums.plus, sums).mean()
 
     def _epoch(self, batches: Iterator[Batch]) -> Iterator[TrainingProgress]:
         """Train on the batches; yield progress every 50 steps and before each validation."""
@@ -174,21 +151,22 @@ class Trainer:
         self.net.train()
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate_at(self.step, self.config)
-        losses = self._losses(self.net, batch)
+        losses = self._sums(self.net, batch).mean()
         self.optimizer.zero_grad(set_to_none=True)
         losses.total.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
+        if self.config.clip_norm is not None:
+            torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.config.clip_norm)
         self.optimizer.step()
         self.step += 1
         self._update_average()
         return losses
 
-    def _losses(self, net: LSNet, batch: Batch) -> LossParts:
-        images, labels, endpoints = batch
+    def _sums(self, net: nn.Module, batch: Batch) -> LossSums:
+        images, *targets = (tensor.to(self.device, non_blocking=True) for tensor in batch)
         pixels = images.to(memory_format=torch.channels_last).float().div_(255)
-        with torch.autocast("cpu", dtype=torch.bfloat16):
+        with autocast(self.device):
             output = net(pixels)
-        return self.loss(output, labels, endpoints)
+        return self.task.sums(output, *targets)
 
     def _update_average(self) -> None:
         """Update the exponential moving average, with a shorter memory in early steps."""
@@ -204,7 +182,7 @@ class Trainer:
     def _keep(self, loss: float) -> None:
         if loss < self.best_loss:
             self.best_loss, self.bad_validations = loss, 0
-            best = {"average": self.average.state_dict(), "step": self.step}
+            best = {"average": self.average.state_dict(), "step": self.step, "recipe": self._recipe()}
             save_checkpoint(best, self.run_dir / "best.pt")
         else:
             self.bad_validations += 1
@@ -222,25 +200,12 @@ class Trainer:
         }
 
     def _recipe(self) -> dict[str, Any]:
-        return asdict(self.config) | {"network": asdict(self.net.config)}
-
-    def _begin_with(self, start: str | Path) -> None:
-        try:
-            if Path(start).suffix == ".pt":
-                state = load_checkpoint(Path(start))["average"]
-            else:
-                state = slim(load_weights(start).net, self.net.config).state_dict()
-            self.net.load_state_dict(state)
-        except (RuntimeError, ValueError) as err:
-            raise LSNetError(
-                f"{start}: not weights of a {self.config.preset} network or a wider one; give such weights"
-            ) from err
+        return asdict(self.config) | self.task.describe() | {"start_sha256": self._start_sha256}
 
     def _restore(self) -> None:
         path = self.run_dir / "last.pt"
         state = load_checkpoint(path, LAST_KEYS)
-        ours = self._recipe()
-        changed = [k for k in ours if k not in ("threads", "workers") and state["recipe"].get(k) != ours[k]]
+        changed = other_options(state["recipe"], self._recipe())
         if changed:
             raise LSNetError(
                 f"{self.run_dir}: holds a run with other {', '.join(changed)}; give another run folder"

@@ -113,6 +113,13 @@ def test_among_parallel_lines_the_one_nearer_to_the_middle_wins() -> None:
         )
 
 
+def test_strictly_the_longest_chord_wins_without_a_penalty() -> None:
+    near, far = as_lines([(1, 15), (31, 15)], [(0, 4), (32, 4)])
+    for coder, row in ((CODER, 15), (GridCoder(off_centre_penalty=0.0), 4)):
+        targets = coder.encode([near, far], (32, 32))
+        np.testing.assert_allclose(targets.endpoints[0, 0, 1::2] * 32, row, atol=1e-5)
+
+
 def test_curve_is_scored_by_its_chord() -> None:
     curve = as_lines([(0, 4), (16, 28), (32, 4)])
     targets = CODER.encode(curve, (32, 32))

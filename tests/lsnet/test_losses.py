@@ -8,13 +8,11 @@ import pytest
 import torch
 
 from lsnet.losses import (
+    LossSums,
     MultiTaskLoss,
     endpoint_error,
     focal_loss,
-    l2_loss,
     of_main_grid,
-    ordered_error,
-    smooth_l1_loss,
     wing_loss,
 )
 from lsnet.model import RawOutput
@@ -61,18 +59,6 @@ def test_endpoint_error_has_no_order() -> None:
     torch.testing.assert_close(endpoint_error(predicted, target[:, swap]), expected)
 
 
-def test_an_ordered_error_counts_ends_from_left_to_right() -> None:
-    target = torch.tensor([[0.8, 1.0, 0.2, 0.2]], dtype=torch.float64)
-    assert ordered_error(E, target).item() == pytest.approx(0.1 + 0.1)
-    assert ordered_error(E[:, [2, 3, 0, 1]], target).item() == pytest.approx(0.6 + 0.7 + 0.7 + 0.8)
-
-
-def test_the_other_regression_losses_by_hand() -> None:
-    errors = torch.tensor([0.0, 0.5, 1.0, 3.0], dtype=torch.float64)
-    assert smooth_l1_loss(errors).tolist() == [0.0, 0.125, 0.5, 2.5]
-    assert l2_loss(errors).tolist() == [0.0, 0.125, 0.5, 4.5]
-
-
 def test_wing_loss_by_hand_and_continuous_at_w() -> None:
     w, epsilon = 1.0, 0.1
     errors = torch.tensor([0.0, 0.1, 1 - 1e-9, 1 + 1e-9, 3.0], dtype=torch.float64)
@@ -104,6 +90,7 @@ def raw(logits: list[list[float]], endpoints: list[list[float]]) -> RawOutput:
 
 
 LABELS = torch.tensor([[[1, 0, -1, 1]]], dtype=torch.int8)
+ONE_CELL = (torch.tensor([[[1]]], dtype=torch.int8), torch.tensor([[[[0.0, 0.5, 1.0, 0.5]]]]))
 TARGETS = torch.tensor([[[[0, 0, 1, 1], [0] * 4, [0] * 4, [0.5, 0, 0.5, 1]]]])
 
 
@@ -141,13 +128,75 @@ def test_an_image_without_lines_has_a_loss_and_no_regression() -> None:
     assert torch.isfinite(said.logits.grad).all()
 
 
-def test_other_losses_are_the_parts_asked_for() -> None:
-    result = MultiTaskLoss(error=ordered_error, regression="l2")(output(), LABELS, TARGETS)
-    assert result.regression.item() == pytest.approx(
-        (3.9**2 + 2**2) / 2 / 2
-    )  # ends 1 1 0 0.1 are not swapped
-    smooth = MultiTaskLoss(regression="smooth_l1")(output(), LABELS, TARGETS)
-    assert smooth.regression.item() == pytest.approx((0.1**2 / 2 + 1.5) / 2)
+@pytest.mark.parametrize(
+    ("regression", "expected"),
+    [
+        # Differences of single coordinates: 0.1 of the first segment, swapped, and 2 of the second.
+        ("l1", 0.1 + 2),
+        ("l2", 0.1**2 / 2 + 2**2 / 2),
+        ("smooth_l1", 0.1**2 / (2 * 0.5) + (2 - 0.5 / 2)),  # beta 0.5: below it quadratic, above it linear
+    ],
+)
+def test_regression_losses_are_of_each_coordinate(regression: str, expected: float) -> None:
+    result = MultiTaskLoss(regression=regression, beta=0.5)(output(), LABELS, TARGETS)
+    assert result.regression.item() == pytest.approx(expected / 2)
+
+
+def test_losses_of_two_coordinates_are_added() -> None:
+    """Two differences of 0.3: L2 of each is half of what L2 of their sum would be."""
+    labels, target = torch.tensor([[[1]]], dtype=torch.int8), torch.tensor([[[[0.0, 0.0, 1.0, 1.0]]]])
+    said = raw([[0.0, 0.0]], [[0.3, 0.3, 1, 1]])
+    assert MultiTaskLoss(regression="l2")(said, labels, target).regression.item() == pytest.approx(0.09)
+    assert MultiTaskLoss(regression="l1")(said, labels, target).regression.item() == pytest.approx(0.6)
+    smooth = MultiTaskLoss(regression="smooth_l1")(said, labels, target).regression.item()
+    assert smooth == pytest.approx(2 * (0.3 - 1 / 64))  # linear from a pixel of a cell of 32
+
+
+def test_smooth_l1_that_is_linear_from_one_is_l2_in_cell_fractions() -> None:
+    smooth, l2 = (
+        MultiTaskLoss(regression=name, beta=1.0)(
+            raw([[0.0, 0.0]], [[0.2, 0.9, 0.4, 0.1]]), *ONE_CELL
+        ).regression
+        for name in ("smooth_l1", "l2")
+    )
+    assert smooth.item() == pytest.approx(l2.item())
+
+
+def test_ends_in_order_are_from_left_to_right() -> None:
+    ordered = MultiTaskLoss(any_order=False, regression="l2")(output(), LABELS, TARGETS)
+    assert ordered.regression.item() == pytest.approx((1 + 1 + 1 + 0.9**2 + 2**2) / 2 / 2)
+
+
+def test_cross_entropy_is_the_full_one() -> None:
+    result = MultiTaskLoss(classification="cross_entropy", alpha=0.1)(output(), LABELS, TARGETS)
+    expected = -(math.log(1 / 2) + math.log(1 / 2) + math.log(3 / 4))
+    assert result.classification.item() == pytest.approx(expected / 2, rel=1e-5)
+
+
+def test_a_batch_without_lines_weighs_less_than_one_with_many() -> None:
+    """400 positive cells of 4,000: their mean; none of 4,000: the sum over 40, not over one."""
+    sums = LossSums(*(torch.tensor(value) for value in (80.0, 80.0, 0.0, 400.0, 4000.0)))
+    none = sums._replace(positives=torch.tensor(0.0))
+    assert sums.mean().total.item() == pytest.approx(80 / 400)
+    assert none.mean().total.item() == pytest.approx(80 / 40)
+
+
+def test_losses_of_several_batches_are_those_of_all_their_cells() -> None:
+    loss, said = MultiTaskLoss(), output()
+    whole = loss(said, LABELS, TARGETS)
+    parts = [
+        loss.sums(RawOutput(*(part[..., cut] for part in said)), LABELS[..., cut], TARGETS[:, :, cut])
+        for cut in (slice(0, 1), slice(1, 4))
+    ]
+    torch.testing.assert_close(parts[0].plus(parts[1]).mean(), whole)
+
+
+@pytest.mark.parametrize(
+    "options", [{"regression": "l3"}, {"classification": "hinge"}, {"alpha": 2}, {"w": 0}, {"gamma": -1}]
+)
+def test_impossible_options_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"loss|must"):
+        MultiTaskLoss(**options)
 
 
 def test_the_main_grid_alone_is_every_second_row_and_column() -> None:

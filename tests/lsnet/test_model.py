@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from nets import TINY, tiny_net
 from torch import nn
 
-from lsnet.model import PRESETS, LSNet, LSNetConfig
+from lsnet.model import PRESETS, EndPadded, LSNet, LSNetConfig
 from lsnet.runtime import fold_norms
 
 # Table I of the paper: kernel, channels, stride.
@@ -51,9 +53,10 @@ def test_paper_has_the_rows_of_the_table(paper: LSNet) -> None:
 
 def test_paper_pads_the_extractor_only_and_normalises_before_activations(paper: LSNet) -> None:
     convolutions = [m for m in paper.modules() if isinstance(m, nn.Conv2d)]
-    assert {(c.kernel_size[0], c.padding[0]) for c in convolutions} == {(3, 1), (2, 0), (1, 0)}
+    padded = {(c.kernel_size[0], c.padding[0]) for c in convolutions if not isinstance(c, EndPadded)}
+    assert padded == {(3, 1), (2, 0), (1, 0)}
     kinds = [type(m) for m in paper.extractor.modules() if not list(m.children())]
-    assert kinds == [nn.Conv2d, nn.GroupNorm, nn.ReLU] * 12
+    assert kinds == [nn.Conv2d, nn.GroupNorm, nn.ReLU] * 11 + [EndPadded, nn.GroupNorm, nn.ReLU]
     assert not any(isinstance(m, nn.MaxPool2d) for m in paper.modules())
 
 
@@ -146,3 +149,40 @@ def test_group_norms_stay_when_folding() -> None:
     image = torch.rand(1, 3, 32, 32)
     with torch.no_grad():
         torch.testing.assert_close(net(image).logits, fold_norms(net)(image).logits)
+
+
+def receptive_centre(config: LSNetConfig) -> tuple[float, float]:
+    """Centre (x, y) of the pixels that change a cell, relative to the centre of the cell, px."""
+    net = LSNet(config).eval()
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, nn.Conv2d):
+                module.weight.fill_(1 / module.weight[0].numel())  # nothing cancels, no ReLU is off
+    image = torch.ones(1, 3, 512, 512, requires_grad=True)
+    net(image).logits[0, 1, 15, 14].backward()
+    rows, columns = image.grad[0].sum(0).nonzero().T
+    spans = ((columns.min() + columns.max() + 1) / 2, (rows.min() + rows.max() + 1) / 2)
+    return float(spans[0]) - (14 * 16 + 16), float(spans[1]) - (15 * 16 + 16)
+
+
+THIN = LSNetConfig(stage_channels=(1, 1, 1, 1), head_channels=1, norm="batch")
+
+
+@pytest.mark.parametrize("config", [THIN, TINY])
+def test_receptive_fields_are_centred_if_asked_for(config: LSNetConfig) -> None:
+    assert receptive_centre(config) == (-7.5, -7.5)
+    assert receptive_centre(replace(config, centred=True)) == (0.5, 0.5)
+
+
+def test_pooling_halves_after_a_convolution_of_stride_one() -> None:
+    """LS-Net-P: as many parameters and cells, no strides."""
+    nets = [LSNet(replace(THIN, downsample=how)) for how in ("last", "pool")]
+    assert len({sum(p.numel() for p in net.parameters()) for net in nets}) == 1
+    assert [stride for _, _, stride in rows_of(nets[1].extractor)] == [1] * 12
+    assert sum(isinstance(m, nn.MaxPool2d) for m in nets[1].extractor) == 4
+    assert nets[1].eval()(torch.zeros(1, 3, 64, 96)).logits.shape == (1, 2, 3, 5)
+
+
+def test_unknown_downsampling_is_refused() -> None:
+    with pytest.raises(ValueError, match="unknown norm or downsampling"):
+        replace(THIN, downsample="mean")

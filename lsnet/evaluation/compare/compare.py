@@ -20,11 +20,12 @@ from lsnet.evaluation.compare.data import Crops, draw_set
 from lsnet.evaluation.grids import OnlyGrids
 from lsnet.evaluation.pixels import PixelReport, evaluate
 from lsnet.evaluation.speed import least_cpu_ms
-from lsnet.losses import MultiTaskLoss, ordered_error
+from lsnet.losses import MultiTaskLoss
 from lsnet.model import PRESETS, LSNet, LSNetConfig
 from lsnet.runtime import OpenVinoBackend, TorchBackend
-from lsnet.training.batches import load_batches
-from lsnet.training.trainer import TrainConfig, Trainer
+from lsnet.training.recipe import TrainConfig
+from lsnet.training.tasks import LSNetTask
+from lsnet.training.trainer import Trainer
 from lsnet.weights import Weights, WeightsCard
 
 if TYPE_CHECKING:
@@ -62,10 +63,10 @@ ABLATIONS = (
     Variant("fast"),
     Variant("fast, another seed", seed=1),
     Variant("one grid", loss=MultiTaskLoss(main_grid_only=True)),
-    Variant("cross entropy", loss=MultiTaskLoss(gamma=0.0)),
+    Variant("cross entropy", loss=MultiTaskLoss(classification="cross_entropy")),
     Variant("smooth L1", loss=MultiTaskLoss(regression="smooth_l1")),
     Variant("L2", loss=MultiTaskLoss(regression="l2")),
-    Variant("ends from left to right", loss=MultiTaskLoss(error=ordered_error)),
+    Variant("ends from left to right", loss=MultiTaskLoss(any_order=False)),
 )
 VARIANTS = {"networks": NETWORKS, "ablations": ABLATIONS}
 
@@ -173,13 +174,13 @@ def run_variant(
     )
     trainer.run(train_on, validate_on, report=lambda _progress: report(trainer.step))
     net = trainer.average
-    config, validated = trainer.config, range(VALIDATION_IMAGES)
-    batches = load_batches(validate_on, validated, batch_size=config.batch_size, workers=config.workers)
+    assert isinstance(net, LSNet)  # noqa: S101
+    validation = list(trainer.batches(validate_on, range(VALIDATION_IMAGES)))
     result = Result(
         name=variant.name,
         parameters=sum(p.numel() for p in net.parameters()),
         steps=comparison.steps,
-        validation_loss=trainer.validate(list(batches)),
+        validation_loss=float(trainer.validate(validation).total),
         ods=score(net, comparison.sets, main_grid_only=variant.loss.main_grid_only),
     )
     with (comparison.folder / RESULTS_FILE).open("a") as log:
@@ -198,7 +199,7 @@ def _trainer(comparison: Comparison, variant: Variant) -> Trainer:
         workers=0,
     )
     run = comparison.folder / "runs" / variant.name.replace(" ", "_")
-    return Trainer(config, run, seed=variant.seed, network=variant.network, loss=variant.loss)
+    return Trainer(config, run, seed=variant.seed, task=LSNetTask(variant.network, variant.loss))
 
 
 def score(net: LSNet, sets: Sequence[Path], *, main_grid_only: bool = False) -> dict[str, float]:

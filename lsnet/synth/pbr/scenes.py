@@ -9,16 +9,18 @@ import cv2
 import numpy as np
 
 from lsnet.errors import LSNetError
+from lsnet.synth.backgrounds import part_of
 from lsnet.synth.clutter.clutter import add_clutter
 from lsnet.synth.conditions import augment_further, cable_shadows
 from lsnet.synth.dataset import Sample, to_uint8
 from lsnet.synth.geometric import crops_and_flips, over, rotate, zoom
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from lsnet.arrays import FloatImage, Floats
-    from lsnet.synth.backgrounds import BackgroundPool
+    from lsnet.synth.backgrounds import BackgroundPool, Part
     from lsnet.synth.geometric import Labelled
 
 
@@ -33,40 +35,53 @@ class RenderedScenes:
     They are zoomed, rotated and augmented on the fly. Sample i is always the same. All pictures, crops and
     backgrounds are used before any is repeated with another augmentation.
 
-    Raises:
-        LSNetError: The folder has no pictures.
+    Args:
+        pictures: Their truths, as from `rendered_pictures`.
     """
 
-    def __init__(self, folder: Path, pool: BackgroundPool, size: int = 384, seed: int = 0) -> None:
+    def __init__(
+        self, pictures: Sequence[Path], pool: BackgroundPool, size: int = 384, seed: int = 0
+    ) -> None:
         self.size, self._pool, self._seed = size, pool, seed
-        self._truths = sorted(folder.glob("[0-9]*.json"))
-        if not self._truths:
-            raise LSNetError(
-                f"{folder}: no rendered pictures in this folder; make some with lsnet-pipe model synth"
-            )
+        self._pictures = pictures
 
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self._seed, index])
-        truth = self._truths[index % len(self._truths)]
-        turn = index // len(self._truths)
-        # The crops of a picture do not depend on the background.
-        versions = crops_and_flips(
-            *_load(truth), np.random.default_rng([self._seed, 1, index % len(self._truths)])
-        )
-        cables, lines = _fitted(*versions[turn // BACKGROUNDS % len(versions)], self.size)
+        cables, lines = cropped(self._pictures, index, self.size, self._seed)
         for move in (zoom, rotate):
             if rng.random() < MOVE_SHARE:
                 cables, lines = move(cables, lines, rng)
         ground = self._ground(rng)
         if rng.random() < SHADOW_SHARE:
             ground = cable_shadows(ground, lines, rng)
-        image, lines = augment_further(_composed(cables, ground), lines, rng)
+        image, lines = augment_further(composed(cables, ground), lines, rng)
         return Sample(to_uint8(image), lines)
 
     def _ground(self, rng: np.random.Generator) -> FloatImage:
         scene = to_uint8(self._pool.sample(rng, self.size))
         add_clutter(scene, rng, lambda: to_uint8(self._pool.sample(rng, self.size)))
         return scene.astype(np.float32)
+
+
+def rendered_pictures(folder: Path, part: Part = "all") -> list[Path]:
+    """Return the truths of the pictures of `model synth`. Raises LSNetError when there are none."""
+    truths = sorted(folder.glob("[0-9]*.json"))
+    if not truths:
+        raise LSNetError(
+            f"{folder}: no rendered pictures in this folder; make some with lsnet-pipe model synth"
+        )
+    return part_of(truths, part)
+
+
+def cropped(pictures: Sequence[Path], index: int, size: int, seed: int) -> Labelled:
+    """Return one of the crops and flips of one of the pictures, scaled to (size, size), with its lines.
+
+    Each picture comes once in as many samples as there are pictures; the crop changes when each has been over
+    five backgrounds. The crops of a picture do not depend on the background.
+    """
+    which, turn = index % len(pictures), index // len(pictures)
+    versions = crops_and_flips(*_load(pictures[which]), np.random.default_rng([seed, 1, which]))
+    return _fitted(*versions[turn // BACKGROUNDS % len(versions)], size)
 
 
 def _load(truth: Path) -> Labelled:
@@ -93,6 +108,7 @@ def _fitted(cables: FloatImage, lines: list[Floats], size: int) -> Labelled:
     return np.asarray(scaled, np.float32), [line * factor for line in lines]
 
 
-def _composed(cables: FloatImage, ground: FloatImage) -> FloatImage:
+def composed(cables: FloatImage, ground: FloatImage) -> FloatImage:
+    """Lay premultiplied cables (H, W, 4) over a ground (H, W, 3)."""
     alpha = cables[..., 3:] / 255
     return over(np.concatenate([cables[..., :3] / np.maximum(alpha, 1e-3), alpha], axis=2), ground)

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from lsnet.evaluation.metrics import THRESHOLDS, PixelTruth, pixel_counts, pixel_scores, structural_ap
+from lsnet.evaluation.metrics import (
+    THRESHOLDS,
+    PixelTruth,
+    pixel_counts,
+    pixel_scores,
+    rates,
+    structural_ap,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -128,3 +135,9 @@ def test_structural_ap_orders_scores_over_all_images() -> None:
     found = [(wrong, np.array([0.9])), (right, np.array([0.5]))]
     assert structural_ap(found, [right, right], SIZE * 2, 10.0) == pytest.approx(0.5 * 0.5)
     assert structural_ap(found[::-1], [right, right], SIZE * 2, 10.0) == pytest.approx(0.5 * 0.5)
+
+
+def test_nothing_reported_where_nothing_is_true_is_right() -> None:
+    """Per image: nothing of nothing; something of nothing; nothing of something."""
+    counts = np.array([[0, 0, 0, 0], [0, 7, 0, 0], [0, 0, 0, 7]])
+    assert rates(counts).tolist() == [[1, 1, 1], [0, 0, 0], [0, 0, 0]]

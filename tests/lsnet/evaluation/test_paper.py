@@ -7,10 +7,16 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from skimage.filters import threshold_otsu
+from skimage.filters import gaussian, threshold_otsu
 
-from lsnet.evaluation.paper import evaluate_as_paper, segmentation
-from lsnet.evaluation.rasterize import confidence_map, smoothed
+from lsnet.evaluation.paper import (
+    PaperProtocol,
+    Way,
+    evaluate_as_paper,
+    evaluate_pixels_as_paper,
+    segmentation,
+)
+from lsnet.evaluation.rasterize import confidence_map
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
@@ -38,7 +44,8 @@ class FirstOnly:
         ]
 
 
-def test_means_are_per_image_and_pooled_scores_over_all(tmp_path: Path) -> None:
+@pytest.fixture
+def two_images(tmp_path: Path) -> Path:
     for name, value in (("a", 0), ("b", 100)):
         for kind in ("images", "masks"):
             (tmp_path / kind).mkdir(exist_ok=True)
@@ -46,7 +53,11 @@ def test_means_are_per_image_and_pooled_scores_over_all(tmp_path: Path) -> None:
         mask = np.zeros(SIZE, np.uint8)
         mask[29:33] = 255
         cv2.imwrite(str(tmp_path / f"masks/{name}.png"), mask)
-    scores = {(s.width_px, s.binarised): s for s in evaluate_as_paper(FirstOnly(), tmp_path)}
+    return tmp_path
+
+
+def test_means_are_per_image_and_pooled_scores_over_all(two_images: Path) -> None:
+    scores = {(s.width_px, s.binarised): s for s in evaluate_as_paper(FirstOnly(), two_images)}
     assert len(scores) == 10
     one = scores[1, "0.5"]
     # Image a: 80 of 160 drawn are right, 80 of 320 found. Image b: nothing drawn.
@@ -58,18 +69,42 @@ def test_means_are_per_image_and_pooled_scores_over_all(tmp_path: Path) -> None:
     assert "1 px wide, score 0.5: APR 0.2500" in str(one)
 
 
+def test_only_detected_segments_are_drawn(two_images: Path) -> None:
+    """From a score of 0.85 row 30 is left: all 80 drawn are right."""
+    protocol = PaperProtocol((Way(1, "otsu"), Way(1, "0.5")), min_score=0.85, sigma_px=0.1)
+    for score in evaluate_as_paper(FirstOnly(), two_images, protocol):
+        assert (score.apr, score.arr, score.min_score, score.sigma_px) == (0.5, 0.125, 0.85, 0.1)
+
+
+class Bright:
+    """Scores pixels by their row: the four of the cable 1, others below 0.3."""
+
+    def confidence(self, image: np.ndarray) -> np.ndarray:
+        rows = np.linspace(0, 0.3, SIZE[0], dtype=np.float32)
+        rows[29:33] = 1
+        return np.repeat(rows[:, None], SIZE[1], axis=1)
+
+
+def test_maps_of_pixels_are_cut_by_otsu(two_images: Path) -> None:
+    (score,) = evaluate_pixels_as_paper(Bright(), two_images)
+    assert (score.width_px, score.binarised, score.apr, score.arr, score.f1) == (None, "otsu", 1, 1, 1)
+    assert "images, Otsu: APR 1.0000" in str(score)
+
+
 def test_folder_without_truth_has_no_paper_scores(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((*SIZE, 3), np.uint8))
     assert evaluate_as_paper(FirstOnly(), tmp_path) == []
 
 
 def test_binary_maps_use_the_stated_threshold() -> None:
-    assert segmentation(segment(30.5, 0.5), 1, "0.5").sum() == 80
-    assert not segmentation(segment(30.5, 0.49), 1, "0.5").any()
+    assert segmentation(segment(30.5, 0.5), Way(1, "0.5")).sum() == 80
+    assert not segmentation(segment(30.5, 0.49), Way(1, "0.5")).any()
     two = Segments(
         np.concatenate([segment(10.5, 0.4).endpoints, segment(40.5, 0.9).endpoints]),
         np.array([0.4, 0.9], np.float32),
         SIZE,
     )
-    grey = np.round(smoothed(confidence_map(two, 2)) * 255).astype(np.uint8)
-    np.testing.assert_array_equal(segmentation(two, 2, "otsu"), grey > threshold_otsu(grey))
+    for sigma_px in (1.0, 2.0):
+        grey = np.round(gaussian(confidence_map(two, 2), sigma_px, truncate=6) * 255).astype(np.uint8)
+        found = segmentation(two, Way(2, "otsu"), sigma_px)
+        assert (found != (grey > threshold_otsu(grey))).mean() < 0.01

@@ -79,5 +79,5 @@ def test_training_starts_from_the_most_important_channels(tmp_path, monkeypatch)
     for name, value in trainer.average.state_dict().items():
         torch.testing.assert_close(value, expected[name])
     monkeypatch.setitem(PRESETS, "fast", replace(TINY, stage_channels=(4, 6, 9)))
-    with pytest.raises(LSNetError, match=r"wide\.safetensors: not weights of a fast network or a wider one"):
+    with pytest.raises(LSNetError, match=r"wide\.safetensors: not weights of this network or a wider one"):
         Trainer(TrainConfig(), tmp_path / "other", start=wide)

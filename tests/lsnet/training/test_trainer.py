@@ -15,11 +15,15 @@ from nets import TINY
 
 from lsnet import model
 from lsnet.errors import LSNetError
+from lsnet.model import LSNetConfig
 from lsnet.synth.dataset import Sample
 from lsnet.training.batches import load_batches
 from lsnet.training.checkpoints import load_checkpoint, save_checkpoint
+from lsnet.training.devices import choose_device
+from lsnet.training.recipe import RECIPES, TrainConfig, TrainingProgress, learning_rate_at
 from lsnet.training.sources import TrainingData, export_run, open_sources
-from lsnet.training.trainer import TrainConfig, Trainer, TrainingProgress, learning_rate_at
+from lsnet.training.tasks import LSNetTask, open_task
+from lsnet.training.trainer import Trainer
 from lsnet.weights import load_weights
 
 if TYPE_CHECKING:
@@ -36,6 +40,9 @@ QUICK = TrainConfig(
     threads=1,
     workers=0,
 )
+
+
+THIN = LSNetConfig(stage_channels=(4, 4, 4, 4), head_channels=4, norm="batch")
 
 
 class Strokes:
@@ -57,6 +64,7 @@ class Strokes:
 @pytest.fixture(autouse=True)
 def _tiny_preset(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(model.PRESETS, "tiny", TINY)
+    monkeypatch.setitem(model.PRESETS, "thin", THIN)
 
 
 @pytest.fixture(autouse=True)
@@ -74,9 +82,7 @@ def test_training_overfits_a_tiny_set(tmp_path: Path) -> None:
     config = replace(QUICK, steps=100, batch_size=4, validate_every=50, learning_rate=2e-2)
     reports: list[TrainingProgress] = []
     trainer = Trainer(config, tmp_path / "run")
-    before = trainer.validate(
-        list(load_batches(Strokes(), range(4), batch_size=config.batch_size, workers=0))
-    )
+    before = float(trainer.validate(list(trainer.batches(Strokes(), range(4)))).total)
     trainer.run(Strokes(), Strokes(), reports.append)
     found = [r for r in reports if r.validation_loss is not None]
     assert [r.step for r in found] == [50, 100]
@@ -86,6 +92,9 @@ def test_training_overfits_a_tiny_set(tmp_path: Path) -> None:
     assert found[-1].loss == pytest.approx(found[-1].classification + found[-1].regression, rel=1e-5)
     log = [json.loads(line) for line in (tmp_path / "run/log.jsonl").read_text().splitlines()]
     assert [entry["validation_loss"] for entry in log] == [r.validation_loss for r in found]
+    for entry in log:  # the parts, for curves of the focal and the Wing loss
+        parts = entry["validation_classification"] + entry["validation_regression"]
+        assert entry["validation_loss"] == pytest.approx(parts, rel=1e-5)
 
 
 def test_interrupted_run_gives_the_weights_of_an_uninterrupted_one(tmp_path: Path) -> None:
@@ -133,7 +142,7 @@ def test_a_run_stops_when_validation_does_not_improve_and_stays_stopped(tmp_path
         iter([2.0, 1.0, 1.5, 1.0, 3.0, 0.0]),
     )
     trainer = Trainer(config, tmp_path)
-    trainer.validate = lambda _batches: next(losses)
+    trainer.validate = lambda _batches: (next(losses), 0.0, 0.0)
     trainer.run(Strokes(), Strokes(), quiet)
     assert (trainer.step, trainer.best_loss) == (5, 1.0)
     assert torch.load(tmp_path / "best.pt")["step"] == 2
@@ -148,7 +157,8 @@ def test_the_averaged_weights_are_kept(tmp_path: Path) -> None:
     kept, last = torch.load(tmp_path / "best.pt"), torch.load(tmp_path / "last.pt")
     key = "classifier.1.weight"
     assert not torch.equal(last["average"][key], last["net"][key])
-    assert set(kept) == {"average", "step"}
+    assert set(kept) == {"average", "step", "recipe"}
+    assert kept["recipe"] == last["recipe"]
 
 
 @pytest.mark.parametrize(
@@ -188,6 +198,107 @@ def test_run_can_start_from_shipped_weights(tmp_path: Path) -> None:
         Trainer(QUICK, tmp_path / "b", start="slow")
 
 
+def test_a_resumed_run_has_the_start_it_began_with(tmp_path: Path) -> None:
+    Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
+    Trainer(QUICK, tmp_path / "other", seed=3).run(Strokes(), Strokes(), quiet)
+    start = tmp_path / "a/best.pt"
+    Trainer(QUICK, tmp_path / "b", start=start).run(Strokes(), Strokes(), quiet)
+    assert Trainer(QUICK, tmp_path / "b", start=start).step == 12
+    for other in (tmp_path / "other/best.pt", None):
+        with pytest.raises(LSNetError, match="holds a run with other start_sha256; give another run folder"):
+            Trainer(QUICK, tmp_path / "b", start=other)
+    with pytest.raises(LSNetError, match=r"none\.pt: missing or damaged"):
+        Trainer(QUICK, tmp_path / "b", start=tmp_path / "none.pt")
+
+
+def test_a_run_of_an_older_version_continues_with_what_are_the_defaults(tmp_path: Path) -> None:
+    Trainer(QUICK, tmp_path).run(Strokes(), Strokes(), quiet)
+    last = torch.load(tmp_path / "last.pt")
+    for name in ("loss", "off_centre_penalty", "start_sha256", "schedule", "clip_norm", "device"):
+        del last["recipe"][name]
+    del last["recipe"]["network"]["centred"]
+    torch.save(last, tmp_path / "last.pt")
+    assert Trainer(QUICK, tmp_path).step == 12
+    for task in (open_task("tiny", ["centred=true"]), open_task("tiny", (), ["gamma=1"])):
+        with pytest.raises(LSNetError, match=r"holds a run with other (network|loss)"):
+            Trainer(QUICK, tmp_path, task=task)
+
+
+def test_the_loss_is_kept_with_every_checkpoint(tmp_path: Path) -> None:
+    task = open_task("tiny", (), ["regression=smooth_l1", "beta=0.1", "any_order=false"], longest=True)
+    Trainer(replace(QUICK, steps=1), tmp_path, task=task).run(Strokes(), Strokes(), quiet)
+    for name in ("best.pt", "last.pt"):
+        recipe = load_checkpoint(tmp_path / name)["recipe"]
+        assert (recipe["loss"]["regression"], recipe["loss"]["beta"]) == ("smooth_l1", 0.1)
+        assert (recipe["loss"]["any_order"], recipe["off_centre_penalty"]) == (False, 0.0)
+    export_run(tmp_path, tmp_path / "x.safetensors", "mine", 0.4, None)
+    assert load_weights(tmp_path / "x.safetensors").card.recipe["loss"]["beta"] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("network", "loss"),
+    [
+        (["depth=3"], []),
+        (["head_channels"], []),
+        (["head_channels=x"], []),
+        (["downsample=mean"], []),
+        ([], ["w=0"]),
+        ([], ["any_order=maybe"]),
+        ([], ["regression=l3"]),
+    ],
+)
+def test_unusable_options_are_one_line(network: list[str], loss: list[str]) -> None:
+    with pytest.raises(LSNetError, match="option") as error:
+        open_task("tiny", network, loss)
+    assert "\n" not in str(error.value)
+
+
+def test_options_are_of_the_type_of_their_defaults() -> None:
+    task = open_task("tiny", ["stage_channels=2,4,4", "stem_channels=2", "centred=true"], ["gamma=1"])
+    assert task.network == replace(TINY, stage_channels=(2, 4, 4), stem_channels=2, centred=True)
+    assert task.loss.gamma == 1.0
+
+
+@pytest.mark.parametrize(
+    ("network", "loss"),
+    [
+        (["downsample=pool"], []),
+        ([], ["classification=cross_entropy"]),
+        *(([], [f"regression={name}"]) for name in ("l1", "l2", "smooth_l1")),
+    ],
+)
+def test_every_variant_of_the_ablation_trains(tmp_path: Path, network: list[str], loss: list[str]) -> None:
+    task = open_task("thin", network, loss)
+    trainer = Trainer(replace(QUICK, preset="thin", steps=2, validate_every=2), tmp_path, task=task)
+    before = {name: tensor.clone() for name, tensor in trainer.net.state_dict().items()}
+    trainer.run(Strokes(), Strokes(), quiet)
+    assert np.isfinite(trainer.best_loss)
+    for name in ("extractor.0.0.weight", "classifier.1.weight", "regressor.1.weight"):
+        assert not torch.equal(before[name], trainer.net.state_dict()[name])
+
+
+def test_the_recipe_of_the_paper_neither_averages_nor_decays(tmp_path: Path) -> None:
+    config = replace(RECIPES["paper"], preset="tiny", steps=2, batch_size=2, validate_every=2)
+    trainer = Trainer(replace(config, validation_images=2, workers=0), tmp_path)
+    trainer.run(Strokes(), Strokes(), quiet)
+    group = trainer.optimizer.param_groups[0]
+    assert (group["lr"], group["betas"], group["weight_decay"]) == (1e-4, (0.9, 0.999), 0.0)
+    for name, tensor in trainer.net.state_dict().items():
+        assert torch.equal(tensor, trainer.average.state_dict()[name])
+
+
+def test_devices_that_are_not_there_are_one_line() -> None:
+    assert choose_device("cpu").type == "cpu"
+    with pytest.raises(LSNetError, match="no device 'tpu'; choose one of"):
+        choose_device("tpu")
+    if torch.cuda.is_available():
+        assert choose_device("auto").type == "cuda"
+        return
+    assert choose_device("auto").type == "cpu"
+    with pytest.raises(LSNetError, match="no GPU that this build of torch can use; give --device cpu"):
+        choose_device("cuda")
+
+
 def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
     Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
     (tmp_path / "damaged.pt").write_bytes((tmp_path / "a/best.pt").read_bytes()[:500])
@@ -195,7 +306,7 @@ def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
     for start in ("missing.pt", "damaged.pt"):
         with pytest.raises(LSNetError, match=start):
             Trainer(QUICK, tmp_path / "b", start=tmp_path / start)
-    with pytest.raises(LSNetError, match=r"best\.pt: not weights of a fast network"):
+    with pytest.raises(LSNetError, match=r"best\.pt: not weights of this network or a wider one"):
         Trainer(replace(QUICK, preset="fast"), tmp_path / "b", start=tmp_path / "a/best.pt")
     (tmp_path / "a/last.pt").write_bytes(b"PK")
     with pytest.raises(LSNetError, match=r"last\.pt: missing or damaged"):
@@ -246,7 +357,7 @@ class Unreadable(Strokes):
 @pytest.mark.parametrize("workers", [0, 1])
 def test_a_sample_that_cannot_be_read_is_one_line(workers: int) -> None:
     with pytest.raises(LSNetError) as error:
-        list(load_batches(Unreadable(), range(2), batch_size=2, workers=workers))
+        list(load_batches(Unreadable(), range(2), LSNetTask(TINY), batch_size=2, workers=workers))
     assert str(error.value) == "a.png: damaged; remove it"
 
 
@@ -256,6 +367,7 @@ def test_learning_rate_warms_up_and_cools_down() -> None:
     assert learning_rate_at(99, config) == pytest.approx(1.0)
     assert learning_rate_at(550, config) == pytest.approx(0.01 + 0.99 / 2)
     assert learning_rate_at(1000, config) == pytest.approx(0.01)
+    assert [learning_rate_at(step, RECIPES["paper"]) for step in (0, 9999)] == [1e-4, 1e-4]
 
 
 def test_export_keeps_the_best_average_with_its_recipe(tmp_path: Path) -> None:
@@ -289,6 +401,61 @@ def test_export_of_a_folder_without_a_run_is_one_line(tmp_path: Path) -> None:
 def test_training_and_validation_never_share_a_drawn_image() -> None:
     ours, theirs = open_sources(TrainingData((), None, None, (), size=64, seed=3))
     assert not any(np.array_equal(ours[i].image, theirs[j].image) for i in range(3) for j in range(3))
+
+
+@pytest.mark.parametrize("seed", [-1, 1_000_000, 2_000_000])
+def test_seeds_of_validation_images_are_refused(seed: int) -> None:
+    with pytest.raises(LSNetError, match="is that of validation images; give one from 0 to 999999"):
+        open_sources(TrainingData((), None, None, (), size=64, seed=seed))
+
+
+def write_renders(folder: Path, count: int) -> Path:
+    """Pictures of one cable each, in rows that differ, as `model synth` would write them."""
+    folder.mkdir()
+    for i in range(count):
+        pixels = np.zeros((64, 64, 4), np.uint8)
+        pixels[3 * i + 10 : 3 * i + 12] = (0, 0, 255, 255)
+        cv2.imwrite(str(folder / f"{i:06d}.png"), pixels)
+        truth = {"size": [64, 64], "seed": 0, "lines": [[[-9, 3 * i + 11], [70, 3 * i + 11]]]}
+        (folder / f"{i:06d}.json").write_text(json.dumps(truth))
+    return folder
+
+
+@pytest.mark.parametrize("augmentation", ["all", "paper"])
+def test_training_on_renders_validates_on_others_over_other_photographs(
+    tmp_path: Path, augmentation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last of ten pictures and of ten photographs are for validation, and for nothing else."""
+    (tmp_path / "photos").mkdir()
+    for i in range(10):
+        cv2.imwrite(str(tmp_path / f"photos/{i}.png"), np.full((70, 70, 3), 20 * i, np.uint8))
+    renders = write_renders(tmp_path / "renders", 10)
+    data = TrainingData((str(tmp_path / "photos"),), None, None, (), 64, 3, renders, augmentation)
+    assert "last tenth held out" in data.describe()
+    seen = []
+    for source in open_sources(data):
+        pool = source.pool if augmentation == "paper" else source._pool
+        pictures = source.pictures if augmentation == "paper" else source._pictures
+        seen.append(([int(p.stem) for p in pictures], [int(x[0, 0, 0]) // 20 for x in pool._folders[0]]))
+        assert source[0].lines
+    assert seen == [(list(range(9)), list(range(9))), ([9], [9])]
+
+
+def test_scenes_of_the_paper_lie_over_photographs_only(tmp_path: Path) -> None:
+    """Without clutter: what differs from the photograph's one colour is cable or augmentation of all."""
+    (tmp_path / "photos").mkdir()
+    cv2.imwrite(str(tmp_path / "photos/a.png"), np.full((80, 80, 3), 90, np.uint8))
+    data = TrainingData((str(tmp_path / "photos"),), None, None, (), 64, 0, None, "paper")
+    train_on, validate_on = open_sources(data)
+    plain = 0
+    for i in range(12):
+        sample = train_on[i]
+        np.testing.assert_array_equal(sample.image, train_on[i].image)
+        _, counts = np.unique(sample.image.reshape(-1, 3), axis=0, return_counts=True)
+        plain += counts.max() > 0.6 * 64 * 64
+        assert len(sample.lines) > 0
+    assert plain >= 3  # noise is added to a quarter only
+    assert not np.array_equal(train_on[0].image, validate_on[0].image)
 
 
 def test_data_that_cannot_be_trained_on_is_one_line(tmp_path: Path) -> None:
@@ -325,7 +492,7 @@ def test_a_worker_draws_images_after_opencv_ran_threads_in_the_training_process(
     cv2.setNumThreads(2)
     try:
         cv2.GaussianBlur(np.zeros((2000, 2000, 3), np.uint8), (0, 0), 3)
-        batches = list(load_batches(Blurred(), range(4), batch_size=2, workers=1))
+        batches = list(load_batches(Blurred(), range(4), LSNetTask(TINY), batch_size=2, workers=1))
     finally:
         cv2.setNumThreads(before)
     assert [len(images) for images, _, _ in batches] == [2, 2]

@@ -15,7 +15,7 @@ from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.pbr.conductors import LAYERS, Camera, Hang, strands
 from lsnet.synth.pbr.pictures import render_many
 from lsnet.synth.pbr.render import lay_out, render
-from lsnet.synth.pbr.scenes import RenderedScenes
+from lsnet.synth.pbr.scenes import RenderedScenes, rendered_pictures
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -122,7 +122,8 @@ def write_picture(folder: Path) -> Path:
 
 
 def test_rendered_scenes_have_the_cable_where_the_line_is(tmp_path: Path) -> None:
-    scenes = RenderedScenes(write_picture(tmp_path), BackgroundPool([]), size=96)
+    pictures = rendered_pictures(write_picture(tmp_path))
+    scenes = RenderedScenes(pictures, BackgroundPool([]), size=96)
     differences = []
     for i in range(20):
         sample, again = scenes[i], scenes[i]
@@ -147,10 +148,10 @@ def test_rendered_scenes_have_the_cable_where_the_line_is(tmp_path: Path) -> Non
 
 def test_a_folder_without_pictures_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LSNetError, match="make some with lsnet-pipe model synth"):
-        RenderedScenes(tmp_path, BackgroundPool([]))
+        rendered_pictures(tmp_path)
     (tmp_path / "000000.json").write_text("{}")
     with pytest.raises(LSNetError, match=r"000000\.json: not the truth of a rendered picture"):
-        RenderedScenes(tmp_path, BackgroundPool([]))[0]
+        RenderedScenes(rendered_pictures(tmp_path), BackgroundPool([]))[0]
 
 
 def test_without_mitsuba_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

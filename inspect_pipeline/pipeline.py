@@ -146,7 +146,7 @@ def _write_flight(
     from inspect_pipeline.georeference.frames import Georeferencer  # noqa: PLC0415 - SciPy, half a second
 
     signals = read_signals(recording, options.signals)
-    georeferencer = Georeferencer.of(recording, cameras, options.placing)
+    georeferencer = Georeferencer.of(recording, options.placing)
     tracker = FlightTracker()
     frames = iter_frames(
         recording, cameras, every=options.every, start_ns=options.start_ns, end_ns=options.end_ns

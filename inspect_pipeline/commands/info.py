@@ -70,11 +70,13 @@ def _describe(recording: Recording) -> Iterator[str]:
 
 
 def _describe_poses(recording: Recording) -> Iterator[str]:
-    from inspect_pipeline.georeference.calibration import read_intrinsics
+    from inspect_pipeline.georeference.calibration import LensReader
     from inspect_pipeline.georeference.poses import read_poses
     from inspect_pipeline.georeference.unread import explain_unread_poses
 
-    track = read_poses(recording)
+    reader = LensReader(recording)
+    track = read_poses(recording, reader)
+    lenses = reader.lenses()
     counts = {
         "positions": len(track.positions.times_ns),
         "attitudes of the camera": len(track.camera.times_ns),
@@ -86,10 +88,10 @@ def _describe_poses(recording: Recording) -> Iterator[str]:
         yield f"no pose   {topic}: {reason}"
     missing = list(_missing_of(track))
     for camera in recording.camera_channels:
-        lens = read_intrinsics(recording, camera)
-        if not lens:
+        if camera.channel_id not in lenses:
             missing.append(f"lens of {camera.topic} unknown (--view)")
         else:
+            lens = lenses[camera.channel_id].lenses[0]
             height, width = lens.image_size
             fx, fy = lens.focal_px
             yield f"lens      {camera.topic}: {width}x{height}, focal length {fx:.1f} x {fy:.1f} px"

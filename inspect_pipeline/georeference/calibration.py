@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from itertools import takewhile
 from typing import TYPE_CHECKING
 
 from inspect_pipeline.messages.calibration import parser_for
 from inspect_pipeline.messages.errors import MALFORMED
-from inspect_pipeline.recording.frames import iter_channel_messages
+from inspect_pipeline.recording.cameras import is_image
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Set as AbstractSet
 
     from inspect_pipeline.geometry.camera import Intrinsics
+    from inspect_pipeline.recording.merge import Message
     from inspect_pipeline.recording.reader import Recording
-    from inspect_pipeline.recording.types import CameraChannel
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,46 +36,53 @@ class LensTrack:
         return self.lenses[max(0, bisect_right(self.times_ns, time_ns) - 1)]
 
 
-def read_lenses(recording: Recording, cameras: Iterable[CameraChannel]) -> dict[int, LensTrack]:
-    """Return the lenses of cameras by channel id, without those that are not calibrated.
+class LensReader:
+    """Collects the calibrations of all cameras of a recording, while its messages are read once."""
 
-    As in viewers, a calibration belongs to the camera whose topic has the longest beginning in common with
-    its own; one that has nothing in common is used when the recording has a single camera.
-    Raises RecordingError when chunks of a `strict` recording cannot be read.
-    """
-    parsers = {c.channel_id: parser_for(c.schema_name, c.message_encoding) for c in recording.channels}
-    known = {channel_id: parser for channel_id, parser in parsers.items() if parser}
-    tracks = {channel_id: LensTrack() for channel_id in known}
-    for message in iter_channel_messages(recording, known.keys()):
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        parsers = {c.channel_id: parser_for(c.schema_name, c.message_encoding) for c in recording.channels}
+        self._parsers = {channel_id: parser for channel_id, parser in parsers.items() if parser}
+        self._tracks = {channel_id: LensTrack() for channel_id in self._parsers}
+
+    @property
+    def channel_ids(self) -> AbstractSet[int]:
+        """The channels that hold calibrations."""
+        return self._parsers.keys()
+
+    def add(self, message: Message) -> None:
+        """Add a calibration; one that cannot be parsed is skipped."""
         try:
-            lens = known[message.channel_id](message.data)
+            lens = self._parsers[message.channel_id](message.data)
         except MALFORMED:
-            continue
+            return
         if lens:
-            tracks[message.channel_id].add(message.log_time_ns, lens)
-    topics = {c.channel_id: c.topic for c in recording.channels if c.channel_id in known}
-    calibrated = {channel_id: topic for channel_id, topic in topics.items() if tracks[channel_id].lenses}
-    n_least = 1 if len(recording.camera_channels) > 1 else 0
-    found = {}
-    for camera in cameras:
-        nearest = _nearest(camera.topic, calibrated, n_least)
-        if nearest is not None:
-            found[camera.channel_id] = tracks[nearest]
-    return found
+            self._tracks[message.channel_id].add(message.log_time_ns, lens)
+
+    def lenses(self) -> dict[int, LensTrack]:
+        """Return the lenses by channel id of the cameras, without those that are not calibrated.
+
+        As in viewers, a calibration belongs to the camera whose topic has the longest beginning in common
+        with its own; one that has nothing in common is used when the recording has a single camera.
+        """
+        channels = self._recording.channels
+        topics = [(c.topic, c.channel_id) for c in channels if c.channel_id in self._tracks]
+        calibrated: dict[tuple[str, ...], LensTrack] = {}
+        for topic, channel_id in sorted(topics):
+            if self._tracks[channel_id].lenses:
+                for beginning in _beginnings(topic):
+                    calibrated.setdefault(beginning, self._tracks[channel_id])
+        if len(self._recording.camera_channels) > 1:
+            calibrated.pop((), None)
+        nearest = {
+            c.channel_id: next((calibrated[b] for b in _beginnings(c.topic) if b in calibrated), None)
+            for c in channels
+            if is_image(c)
+        }
+        return {channel_id: track for channel_id, track in nearest.items() if track}
 
 
-def read_intrinsics(recording: Recording, camera: CameraChannel) -> Intrinsics | None:
-    """Return the first calibration of a camera, None when there is none."""
-    track = read_lenses(recording, [camera]).get(camera.channel_id)
-    return track.lenses[0] if track else None
-
-
-def _nearest(topic: str, calibrated: dict[int, str], n_least: int) -> int | None:
-    """The channel whose topic has most leading parts in common, at least `n_least`; ties by topic."""
-    ranked = sorted(calibrated, key=lambda i: (-_n_common_parts(calibrated[i], topic), calibrated[i]))
-    return next((i for i in ranked if _n_common_parts(calibrated[i], topic) >= n_least), None)
-
-
-def _n_common_parts(topic: str, other: str) -> int:
-    pairs = zip(topic.strip("/").split("/"), other.strip("/").split("/"), strict=False)
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+def _beginnings(topic: str) -> list[tuple[str, ...]]:
+    """Return the beginnings of a topic by parts between slashes, the longest first and the empty one last."""
+    parts = tuple(topic.strip("/").split("/"))
+    return [parts[:n] for n in range(len(parts), -1, -1)]

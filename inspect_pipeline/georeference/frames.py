@@ -1,6 +1,6 @@
 """Georeference frames: where each was taken, where it looks, and its ground sampling distance.
 
-placer = Georeferencer.of(recording, cameras, options)
+placer = Georeferencer.of(recording, options)
 place = placer.place(frame)     # the columns of a row of `frames`
 """
 
@@ -15,11 +15,11 @@ from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.geometry.camera import lens_of_view, pixel_rays, resized, turned_down
 from inspect_pipeline.geometry.local_frame import LocalMetres
 from inspect_pipeline.geometry.terrain import load_elevation, meet_ground, meet_terrain
-from inspect_pipeline.georeference.calibration import read_lenses
+from inspect_pipeline.georeference.calibration import LensReader
 from inspect_pipeline.georeference.poses import read_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import ArrayLike
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.georeference.calibration import LensTrack
     from inspect_pipeline.georeference.poses import Pose, PoseTrack
     from inspect_pipeline.recording.reader import Recording
-    from inspect_pipeline.recording.types import CameraChannel, Frame
+    from inspect_pipeline.recording.types import Frame
 
 
 _STRAIGHT_DOWN_DEG = -90.0
@@ -75,15 +75,15 @@ class Georeferencer:
     terrain: Elevation | None = None
 
     @classmethod
-    def of(
-        cls, recording: Recording, cameras: Iterable[CameraChannel], options: PlacingOptions
-    ) -> Georeferencer:
+    def of(cls, recording: Recording, options: PlacingOptions) -> Georeferencer:
         """Read poses, lenses and terrain.
 
-        Raises RecordingError when chunks cannot be read of a `strict` recording, TerrainError.
+        Raises RecordingError when chunks of a `strict` recording cannot be read, TerrainError.
         """
         terrain = load_elevation(options.terrain) if options.terrain else None
-        return cls(read_poses(recording), read_lenses(recording, cameras), options, terrain)
+        lenses = LensReader(recording)
+        poses = read_poses(recording, lenses)
+        return cls(poses, lenses.lenses(), options, terrain)
 
     def place(self, frame: Frame) -> FramePose:
         """Georeference a frame by the last pose known at its log time."""

@@ -22,8 +22,9 @@ from inspect_pipeline.messages.pose import Transform, parser_for
 from inspect_pipeline.recording.frames import iter_channel_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
+    from inspect_pipeline.georeference.calibration import LensReader
     from inspect_pipeline.messages.pose import Parser
     from inspect_pipeline.recording.merge import Message
     from inspect_pipeline.recording.reader import Recording
@@ -104,15 +105,16 @@ class PoseTrack:
         return vehicle, "vehicle" if vehicle else None
 
 
-def read_poses(recording: Recording) -> PoseTrack:
+def read_poses(recording: Recording, lenses: LensReader | None = None) -> PoseTrack:
     """Return the poses of a recording; an empty track when it has none.
 
     Messages that cannot be parsed are skipped. Raises RecordingError when chunks cannot be read of a `strict`
-    recording; otherwise they are in the track's losses.
+    recording; otherwise they are in the track's losses. The messages of `lenses` are read on the same way.
     """
     parsers = _parsers(recording)
-    messages = iter_channel_messages(recording, parsers.keys())
-    found = _read_kinds(messages, parsers)
+    lens_ids = lenses.channel_ids if lenses else frozenset()
+    messages = iter_channel_messages(recording, parsers.keys() | lens_ids)
+    found = _read_kinds(_pass_on(messages, lenses) if lenses else messages, parsers)
     return PoseTrack(
         positions=longest(found["position"]),
         vehicle=_to_turns(longest(found["vehicle"] or found["fallback"])),
@@ -120,6 +122,15 @@ def read_poses(recording: Recording) -> PoseTrack:
         heights=longest(found["height"]),
         losses=messages.losses,
     )
+
+
+def _pass_on(messages: Iterable[Message], lenses: LensReader) -> Iterator[Message]:
+    """Yield messages but the calibrations, which `lenses` gets."""
+    for message in messages:
+        if message.channel_id in lenses.channel_ids:
+            lenses.add(message)
+        else:
+            yield message
 
 
 def _parsers(recording: Recording) -> dict[int, Parser]:

@@ -18,7 +18,7 @@ from inspect_pipeline.commands.pack import pack as pack_command
 from inspect_pipeline.convert.pack import PackResult, pack
 from inspect_pipeline.convert.video import _start_ns
 from inspect_pipeline.errors import InspectError, RecordingError
-from inspect_pipeline.georeference.calibration import read_intrinsics
+from inspect_pipeline.georeference.calibration import LensReader
 from inspect_pipeline.georeference.poses import read_poses
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
@@ -123,8 +123,9 @@ def test_photographs_become_a_recording(tmp_path: Path, capfd: pytest.CaptureFix
     assert (poses[0].yaw_deg, poses[0].pitch_deg) == pytest.approx((-121.5, -89.9), abs=1e-3)
     assert (poses[0].attitude_of, poses[0].age_ms, poses[0].height_m) == ("camera", 0, 60.1)
     assert poses[1].latitude_deg == pytest.approx(-48.2)
-    intrinsics = read_intrinsics(recording, recording.camera_channels[0])
-    assert intrinsics is not None
+    reader = LensReader(recording)
+    read_poses(recording, reader)
+    intrinsics = reader.lenses()[recording.camera_channels[0].channel_id].lenses[0]
     assert intrinsics.focal_px[0] == pytest.approx(24 / 36 * 300)  # the picture has the shape of the film
     stored = [d.data for topic, _, d in decoded(target) if topic == recording.camera_channels[0].topic]
     assert stored == [(folder / name).read_bytes() for name in ("b.JPG", "a.jpg", "c.jpg")]

@@ -175,8 +175,7 @@ def test_cameras_of_one_folder_have_topics_and_lenses_of_their_own(tmp_path: Pat
     result = pack(tmp_path / "DCIM", tmp_path / "a.mcap")
     assert result.counts == {"images": 12, "cameras": 3, "positions": 12, "attitudes": 12}
     recording = open_recording(tmp_path / "a.mcap")
-    cameras = recording.camera_channels
-    places = Georeferencer.of(recording, cameras, PlacingOptions())
+    places = Georeferencer.of(recording, PlacingOptions())
     gsd_m: dict[str, list[float]] = {}
     for frame in iter_frames(recording):
         gsd_m.setdefault(frame.topic, []).append(round(places.place(frame).gsd_m, 4))

@@ -10,15 +10,18 @@ from factories import CAMERA, ROS1, ROS2, START_NS, encoded_picture
 from foxglove_schemas_flatbuffer import CameraCalibration as FlatCalibration
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline.geometry.camera import Intrinsics
-from inspect_pipeline.georeference.calibration import read_intrinsics
+from inspect_pipeline.georeference.calibration import LensReader
+from inspect_pipeline.georeference.poses import read_poses
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.recording.writer import new_recording
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from inspect_pipeline.recording.reader import Recording
 
 K = [900.0, 0.0, 639.5, 0.0, 901.0, 359.5, 0.0, 0.0, 1.0]
 D = [0.1, -0.2, 0.001, 0.002, 0.05]
@@ -68,13 +71,25 @@ MESSAGES = {
 }
 
 
+def first_lenses(recording: Recording) -> list[Intrinsics | None]:
+    """The first calibration of each camera."""
+    reader = LensReader(recording)
+    read_poses(recording, reader)
+    lenses = reader.lenses()
+    tracks = [lenses.get(camera.channel_id) for camera in recording.camera_channels]
+    return [track.lenses[0] if track else None for track in tracks]
+
+
 def write(
-    path: Path, calibrations: list[tuple[str, str, str, bytes]], cameras: tuple[str, ...] = (CAMERA,)
+    path: Path,
+    calibrations: list[tuple[str, str, str, bytes]],
+    cameras: tuple[str, ...] = (CAMERA,),
+    chunk_size: int = 1 << 20,
 ) -> list[Intrinsics | None]:
     """What is known of each camera in a recording of these, and of (topic, schema, encoding, message)."""
     image = CompressedImage(data=encoded_picture(0), format="png").SerializeToString()
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer = Writer(file, chunk_size, CompressionType.NONE)
         writer.start()
         images = [(topic, "foxglove.CompressedImage", "protobuf", image) for topic in cameras]
         for topic, schema, encoding, message in images + calibrations:
@@ -83,7 +98,7 @@ def write(
             writer.add_message(channel_id, START_NS, message, START_NS)
         writer.finish()
     recording = open_recording(path)
-    return [read_intrinsics(recording, camera) for camera in recording.camera_channels]
+    return first_lenses(recording)
 
 
 @pytest.mark.parametrize("name", MESSAGES)
@@ -105,7 +120,7 @@ def test_a_calibration_that_was_written_here_is_read(tmp_path: Path) -> None:
             distortion=D,
         )
     recording = open_recording(tmp_path / "a.mcap")
-    assert read_intrinsics(recording, recording.camera_channels[0]) == EXPECTED
+    assert first_lenses(recording) == [EXPECTED]
 
 
 def test_each_camera_has_its_own(tmp_path: Path) -> None:
@@ -133,3 +148,21 @@ def test_each_camera_has_its_own(tmp_path: Path) -> None:
 )
 def test_a_camera_that_is_not_calibrated_has_none(tmp_path: Path, message: bytes) -> None:
     assert write(tmp_path / "a.mcap", [("/camera/info", FOXGLOVE, "protobuf", message)]) == [None]
+
+
+def test_a_lost_calibration_is_a_loss_of_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    assert write(path, [("/camera/info", *MESSAGES["protobuf"])], chunk_size=1) == [EXPECTED]
+    content = bytearray(path.read_bytes())
+    content[content.index(b"plumb_bob")] ^= 1
+    path.write_bytes(content)
+    recording = open_recording(path)
+    assert len(read_poses(recording, LensReader(recording)).losses) == 1
+
+
+def test_lenses_of_many_cameras_are_read_at_once(tmp_path: Path) -> None:
+    """Once per camera, this takes minutes."""
+    n = 1500
+    calibrations = [(f"/c{i}/info", FOXGLOVE, "protobuf", protobuf([900.0 + i, *K[1:]])) for i in range(n)]
+    found = write(tmp_path / "a.mcap", calibrations, tuple(f"/c{i}/image" for i in range(n)))
+    assert len({lens.focal_px for lens in found if lens}) == n

@@ -23,7 +23,7 @@ from inspect_pipeline.annotations.protobuf import PROTOBUF
 from inspect_pipeline.annotations.ros2 import ROS2
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.georeference.calibration import read_intrinsics
+from inspect_pipeline.georeference.calibration import LensReader
 from inspect_pipeline.georeference.poses import read_poses
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.pipeline import process
@@ -121,9 +121,9 @@ def use(path: Path, target: Path) -> int:
     target.unlink(missing_ok=True)
     try:
         recording = open_recording(path)
-        read_poses(recording)
-        for camera in recording.camera_channels:
-            read_intrinsics(recording, camera)
+        reader = LensReader(recording)
+        read_poses(recording, reader)
+        reader.lenses()
         with annotated_copy(recording, target) as out:
             channel_id = out.add_channel(
                 "/notes",

@@ -17,7 +17,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
-from inspect_pipeline.georeference.calibration import read_intrinsics
+from inspect_pipeline.georeference.calibration import LensReader
 from inspect_pipeline.georeference.poses import read_poses
 from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SchemaKind, SimulationOptions
@@ -258,8 +258,10 @@ def test_ros2_messages_are_those_of_ros2(tmp_path: Path, flat_ground: None) -> N
     recording = open_recording(path)
     (camera,) = recording.camera_channels
     assert camera.topic == truth["image_topic"]
-    assert read_intrinsics(recording, camera).focal_px == pytest.approx([truth["frames"][0]["focal_px"]] * 2)
-    pose = read_poses(recording).at(truth["frames"][1]["log_time_ns"])
+    lenses = LensReader(recording)
+    pose = read_poses(recording, lenses).at(truth["frames"][1]["log_time_ns"])
+    focal_px = lenses.lenses()[camera.channel_id].lenses[0].focal_px
+    assert focal_px == pytest.approx([truth["frames"][0]["focal_px"]] * 2)
     section = (DOCS / "formats.md").read_text(encoding="utf-8").split("## Simulated recordings")[1]
     parts = [truth, truth["frames"][0], *(truth[name][0] for name in ("structures", "spans", "spans_seen"))]
     parts += [truth["frames"][0]["lines"][0], truth["frames"][0]["views"][0]]

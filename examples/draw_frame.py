@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from inspect_pipeline import SimulationOptions, iter_frames, open_recording, simulate
-from inspect_pipeline.images.draw import draw_lines, score_colours, write_picture
+from inspect_pipeline.images.draw import draw_lines, track_colours, write_picture
 from lsnet import Detector
 
 scratch = Path(tempfile.mkdtemp())
@@ -22,5 +22,5 @@ frames = iter_frames(open_recording(recording))
 frame = next(frame for frame in frames if frame.image is not None)
 (detections,) = Detector.load().detect([frame.image])
 lines = detections.lines
-write_picture(picture, draw_lines(frame.image, lines.points, score_colours(lines.scores)))
+write_picture(picture, draw_lines(frame.image, lines.points, track_colours(range(len(lines)))))
 print(f"{picture}: frame {frame.frame_idx} of {frame.topic}, {len(lines)} lines")

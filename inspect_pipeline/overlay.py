@@ -1,53 +1,61 @@
-"""Pictures of results: a frame of a flight with its lines drawn onto it."""
+"""Pictures of results: frames of a flight with their lines and anomalies drawn onto them.
+
+frames = select_frames(store, flight_id, topic="/camera/image")
+for drawn in draw_overlays(store, flight_id, frames):
+    write_picture(Path(f"{drawn.frame_idx}.jpg"), drawn.image)
+"""
 
 from __future__ import annotations
 
-import json
-import re
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inspect_pipeline.errors import QueryError
-from inspect_pipeline.images.draw import draw_lines, score_colours
-from inspect_pipeline.index.query import run_query
-from inspect_pipeline.recording.frames import iter_frames
-from inspect_pipeline.store.images import open_images
+from inspect_pipeline.errors import QueryError, RecordingError
+from inspect_pipeline.images.draw import add_strip, draw_lines, draw_place, draw_scores, track_colours
+from inspect_pipeline.index.derived import load_store_rules
+from inspect_pipeline.index.flights import find_flight
+from inspect_pipeline.index.reading import select
+from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
+from inspect_pipeline.inspection.spans import load_spans
+from inspect_pipeline.store.images import iter_images, open_images
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.store.store import Store
 
-_POLYLINES = {
-    "lines": "list_transform(points, lambda p: [p.x, p.y])",
-    "segments": "[[x1, y1], [x2, y2]]",
-}
-_FRAME = """
-SELECT f.flight_id, f.frame_idx, f.log_time_ns, c.topic, m.score_threshold AS min_score,
-       (SELECT list({{'points': {polyline}, 'score': score}})
-        FROM {table} AS t
-        WHERE t.flight_id = f.flight_id AND t.channel_id = f.channel_id AND t.frame_idx = f.frame_idx
-       ) AS found
+    Row = dict[str, Any]
+
+_FRAMES = f"""
+SELECT f.channel_id, c.topic, f.frame_idx, f.log_time_ns, f.width, f.height, f.n_lines, f.n_segments,
+       {", ".join(f"f.{name}" for name in POSE_COLUMNS)}
 FROM frames AS f
 JOIN channels AS c USING (flight_id, channel_id)
-JOIN flights USING (flight_id)
-JOIN models AS m USING (model_id)
-WHERE starts_with(f.flight_id, '{flight}') AND f.status = 'ok' AND {where}
-ORDER BY f.n_lines DESC, f.n_segments DESC, f.frame_idx
-LIMIT 1
-"""
+WHERE f.flight_id = $flight_id AND f.status <> 'bad'
+  AND ($topic IS NULL OR c.topic = $topic) AND ($frame_idx IS NULL OR f.frame_idx = $frame_idx)
+ORDER BY f.log_time_ns, f.channel_id
+"""  # noqa: S608 - names of columns
+_ANOMALIES = "SELECT * FROM anomalies WHERE flight_id = ? ORDER BY start_ns, anomaly_id"
+_FOUND = {
+    "lines": "list_transform(points, lambda p: [p.x, p.y]) AS points, score, track_id",
+    "segments": "[[x1, y1], [x2, y2]] AS points, score, NULL AS track_id",
+}
+_AT_A_TIME = 200  # frames whose lines are in memory
+_RING_M = 2.5  # radius of the ring around a place
 
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """A frame with its lines drawn; image is uint8 (height, width, 3) RGB."""
+    """A frame with its lines drawn; image is uint8 (height, width, 3) RGB, with a strip below the frame."""
 
     flight_id: str
     topic: str
     frame_idx: int
+    log_time_ns: int
     n_drawn: int
     image: ImageArray
 
@@ -71,52 +79,115 @@ def draw_overlay(
 
     Raises:
         QueryError: the index has no such frame.
+        UnknownIdError, AmbiguousIdError: no or several flights begin so.
         StoreError, RecordingError: the index, or the images of the flight, cannot be read.
     """
-    row = _find_frame(store, flight, frame_idx, topic, "segments" if segments else "lines")
-    found = row["found"] or []
-    colours = score_colours(np.array([each["score"] for each in found], np.float32), row["min_score"])
-    return Overlay(
-        flight_id=row["flight_id"],
-        topic=row["topic"],
-        frame_idx=row["frame_idx"],
-        n_drawn=len(found),
-        image=draw_lines(
-            _read_image(store, row), [np.array(each["points"], np.float32) for each in found], colours
-        ),
-    )
+    flight_id = find_flight(store, flight)
+    frames = select_frames(store, flight_id, frame_idx, topic=topic)
+    best = max(frames, key=lambda row: (row["n_lines"], row["n_segments"], -row["frame_idx"]))
+    return next(draw_overlays(store, flight_id, [best], segments=segments))
 
 
-def _read_image(store: Store, row: dict[str, Any]) -> ImageArray:
-    """Read the image of a row of `frames`: uint8 (height, width, 3) RGB."""
-    record = store.load_flight(row["flight_id"])
-    if record is None:
-        raise QueryError(f"flight {row['flight_id'][:16]} is in the index but not in the store; rebuild it")
-    source, time_ns = open_images(record, store.flight_dir(record.flight_id)), row["log_time_ns"]
-    cameras = source.select_cameras([row["topic"]])
-    frames = iter_frames(source, cameras, start_ns=time_ns, end_ns=time_ns + 1)
-    image = next((frame.image for frame in frames if frame.frame_idx == row["frame_idx"]), None)
-    if image is None:
-        raise QueryError(f"frame {row['frame_idx']} is no longer in {source.path}; process it again")
-    return image
+def select_frames(
+    store: Store, flight_id: str, frame_idx: int | None = None, *, topic: str | None = None
+) -> list[Row]:
+    """Return the decoded frames of a flight in time order; raises QueryError when there is none."""
+    values = {"flight_id": flight_id, "topic": topic, "frame_idx": frame_idx}
+    if not (frames := select(store, _FRAMES, values)):
+        raise QueryError(f"flight {flight_id[:16]} has no decoded frame like that; see the table frames")
+    return frames
 
 
-def _find_frame(
-    store: Store, flight: str, frame_idx: int | None, topic: str | None, table: str
-) -> dict[str, Any]:
-    """Return the row of the frame to draw."""
-    if not re.fullmatch(r"[0-9a-f]{1,64}", flight):
-        raise QueryError(f"{flight!r} is not the start of a flight_id; flights list shows them")
-    conditions = [] if frame_idx is None else [f"f.frame_idx = {frame_idx}"]
-    if topic is not None:
-        conditions.append(f"c.topic = '{topic.replace(chr(39), chr(39) * 2)}'")
-    sql = _FRAME.format(
-        polyline=_POLYLINES[table], table=table, flight=flight, where=" AND ".join(conditions) or "true"
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        output = Path(folder) / "frame.json"
-        run_query(store.index_path, sql, format="json", output=output)
-        rows: list[dict[str, Any]] = json.loads(output.read_text(encoding="utf-8"))
-    if not rows:
-        raise QueryError(f"flight {flight} has no decoded frame like that; see the table frames")
-    return rows[0]
+def draw_overlays(
+    store: Store, flight_id: str, frames: Sequence[Row], *, segments: bool = False
+) -> Iterator[Overlay]:
+    """Yield the frames of `select_frames` with lines, scores and anomalies, and their time and place below.
+
+    Raises StoreError, RecordingError.
+    """
+    stored = store.find_flight(flight_id)
+    if stored is None:
+        raise QueryError(f"flight {flight_id[:16]} is in the index but not in the store; rebuild it")
+    recording = open_images(stored.record, stored.folder)
+    anomalies = _Anomalies(store, flight_id)
+    for start in range(0, len(frames), _AT_A_TIME):
+        some = frames[start : start + _AT_A_TIME]
+        rows = {(row["topic"], row["frame_idx"]): row for row in some}
+        found = _load_lines(store, flight_id, some, "segments" if segments else "lines")
+        times = {key: row["log_time_ns"] for key, row in rows.items()}
+        n_drawn = 0
+        for topic, frame_idx, image in iter_images(recording, times):
+            row = rows[topic, frame_idx]
+            lines = found.get((row["channel_id"], frame_idx), [])
+            drawn = _draw(image, lines, anomalies.of(row), row, has_scores=not segments)
+            yield Overlay(flight_id, topic, frame_idx, row["log_time_ns"], len(lines), drawn)
+            n_drawn += 1
+        if not n_drawn:
+            problem = f"frame {some[0]['frame_idx']} of {some[0]['topic']} is no longer in it"
+            raise RecordingError(recording.path, problem, "process it again")
+
+
+def _load_lines(
+    store: Store, flight_id: str, frames: Sequence[Row], table: str
+) -> dict[tuple[int, int], list[Row]]:
+    """Return the lines or segments of frames by channel_id and frame_idx."""
+    sql = f"""
+        SELECT channel_id, frame_idx, {_FOUND[table]} FROM {table}
+        WHERE flight_id = $flight_id
+          AND {{'channel_id': channel_id, 'frame_idx': frame_idx}} IN (SELECT unnest($keys))
+    """  # noqa: S608 - names of tables and columns
+    keys = [{"channel_id": row["channel_id"], "frame_idx": row["frame_idx"]} for row in frames]
+    found: dict[tuple[int, int], list[Row]] = {}
+    for row in select(store, sql, {"flight_id": flight_id, "keys": keys}):
+        found.setdefault((row["channel_id"], row["frame_idx"]), []).append(row)
+    return found
+
+
+class _Anomalies:
+    """The anomalies of a flight, and where they are in frames."""
+
+    def __init__(self, store: Store, flight_id: str) -> None:
+        self._rows = select(store, _ANOMALIES, [flight_id])
+        self._rules = load_store_rules(store)
+        self._spans = {span.span_id: span for span in load_spans(store)}
+
+    def of(self, frame: Row) -> list[tuple[str, float, float, float]]:
+        """Return kind, x, y and metres per pixel of the anomalies that a frame shows; NaN without a place."""
+        own = [
+            row
+            for row in self._rows
+            if row["channel_id"] == frame["channel_id"]
+            and row["first_frame_idx"] <= frame["frame_idx"] <= row["last_frame_idx"]
+        ]
+        places = [see_place(row, self._spans.get(row["span_id"]), [frame], self._rules)[0] for row in own]
+        return [(row["kind"], *place.tolist()) for row, place in zip(own, places, strict=True)]
+
+
+def _draw(
+    image: ImageArray,
+    lines: Sequence[Row],
+    anomalies: Sequence[tuple[str, float, float, float]],
+    frame: Row,
+    *,
+    has_scores: bool,
+) -> ImageArray:
+    points = [np.array(row["points"], np.float32) for row in lines]
+    drawn = draw_lines(image, points, track_colours([row["track_id"] for row in lines]))
+    if has_scores:
+        drawn = draw_scores(drawn, points, np.array([row["score"] for row in lines], np.float32))
+    for kind, x, y, gsd_m in anomalies:
+        if np.isfinite(gsd_m):
+            drawn = draw_place(drawn, np.array([x, y]), max(_RING_M / gsd_m, 12.0), kind)
+    return add_strip(drawn, *_describe(frame, [kind for kind, *_ in anomalies]))
+
+
+def _describe(frame: Row, kinds: Sequence[str]) -> tuple[str, str]:
+    """Return the texts of the strip: time, place and anomalies; the frame."""
+    time_ns = frame["log_time_ns"]
+    time = datetime.fromtimestamp(time_ns // 10**9, UTC)
+    parts = [f"{time:%Y-%m-%d %H:%M:%S}.{time_ns % 10**9 // 10**8} UTC"]
+    if frame["lat_deg"] is not None and frame["lon_deg"] is not None:
+        parts.append(f"{frame['lat_deg']:.6f}, {frame['lon_deg']:.6f}")
+    if frame["height_m"] is not None:
+        parts.append(f"{frame['height_m']:.0f} m above ground")
+    return "   ".join([*parts, *dict.fromkeys(kinds)]), f"frame {frame['frame_idx']}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inspect_pipeline.errors import OutputError
-from inspect_pipeline.images.draw import draw_heat, draw_lines, score_colours, write_picture
+from inspect_pipeline.images.draw import draw_heat, draw_lines, draw_scores, track_colours, write_picture
 from lsnet import LSNetError
 from lsnet.evaluation.rasterize import confidence_map
 from lsnet.images import load_rgb
@@ -93,7 +93,9 @@ def write_overlay(
         polylines, scores = list(found.segments.endpoints.reshape(-1, 2, 2)), found.segments.scores
     else:
         polylines, scores = list(found.lines.points), found.lines.scores
-    picture = draw_lines(photograph.image, polylines, score_colours(scores))
+    picture = draw_lines(photograph.image, polylines, track_colours(range(len(polylines))))
+    if not segments:
+        picture = draw_scores(picture, polylines, scores)
     write_picture(_picture_path(folder, photograph, paths), picture)
 
 

@@ -25,7 +25,7 @@ def report(
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     store: StoreOption = None,
 ) -> None:
-    """Write the report of a flight: one page that needs nothing else.
+    """Write the report of a flight as one page.
 
     \b
     Examples:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import cv2
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import OutputError
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from inspect_pipeline.arrays import Floats32, ImageArray
+    from inspect_pipeline.arrays import Floats, Floats32, ImageArray
 
 _SHIFT = 4  # fractional bits of the coordinates given to OpenCV
 _FAINT_RGB = np.array([90.0, 130.0, 255.0])  # two colours that neither foliage, soil nor steel has
@@ -25,6 +26,8 @@ _TRACK_RGB = np.array(
     np.uint8,
 )
 _NO_TRACK_RGB = np.array([235, 235, 235], np.uint8)
+_SCORE_SHARE = 0.12  # of a line, where its score stands
+_STRIP_RGB = (20, 24, 30)
 _MAP_SHARE = 0.75  # of the heat map over its picture
 
 
@@ -57,6 +60,52 @@ def draw_lines(image: ImageArray, lines: Sequence[Floats32], colours: ImageArray
     for stroke in strokes:
         cv2.polylines(cover, [stroke], False, 0, gap_px, cv2.LINE_AA, _SHIFT)
     return _blend(image, paint, np.divide(cover, 255, dtype=np.float32))
+
+
+def draw_scores(image: ImageArray, lines: Sequence[Floats32], scores: Floats32) -> ImageArray:
+    """Return a copy of an RGB image with the score of each line beside its first point, two digits."""
+    picture, font = Image.fromarray(image), _font(image)
+    pen = ImageDraw.Draw(picture)
+    for points, score in zip(lines, scores.tolist(), strict=True):
+        at = points[0] + _SCORE_SHARE * (points[-1] - points[0])
+        pen.text(tuple(at.tolist()), f"{score:.2f}", "white", font, stroke_width=2, stroke_fill="black")
+    return _to_array(picture)
+
+
+def draw_place(image: ImageArray, place: Floats, radius_px: float, text: str = "") -> ImageArray:
+    """Return a copy of an RGB image with a ring around a place (x, y), and a text above it."""
+    picture, font = Image.fromarray(image), _font(image)
+    pen, width = ImageDraw.Draw(picture), max(2, round(max(image.shape) / 500))
+    x, y = place.tolist()
+    box = (x - radius_px, y - radius_px, x + radius_px, y + radius_px)
+    pen.ellipse([box[0] - 1, box[1] - 1, box[2] + 1, box[3] + 1], outline="black", width=width + 2)
+    pen.ellipse(box, outline="white", width=width)
+    where = x, max(y - radius_px - width, font.size)
+    pen.text(where, text, "white", font, anchor="mb", stroke_width=2, stroke_fill="black")
+    return _to_array(picture)
+
+
+def add_strip(image: ImageArray, left: str, right: str) -> ImageArray:
+    """Return an RGB image with a dark strip of two texts below it; the left one is cut where it is long."""
+    font, width = _font(image), image.shape[1]
+    strip = Image.new("RGB", (width, round(1.9 * font.size)), _STRIP_RGB)
+    pen, margin = ImageDraw.Draw(strip), font.size // 2
+    room = width - 3 * margin - pen.textlength(right, font)
+    while left and pen.textlength(left, font) > room:
+        left = left[:-1]
+    middle = strip.height / 2
+    pen.text((margin, middle), left, "white", font, anchor="lm")
+    pen.text((width - margin, middle), right, "white", font, anchor="rm")
+    return np.concatenate((image, _to_array(strip)))
+
+
+def _font(image: ImageArray) -> ImageFont.FreeTypeFont:
+    """Return a font whose size goes with that of the image."""
+    return cast("ImageFont.FreeTypeFont", ImageFont.load_default(max(11.0, max(image.shape) / 70)))
+
+
+def _to_array(picture: Image.Image) -> ImageArray:
+    return np.asarray(picture, np.uint8)
 
 
 def draw_heat(image: ImageArray, confidence: Floats32) -> ImageArray:

@@ -63,7 +63,7 @@ def open_index(store: Store) -> Iterator[IndexReader]:
         raise index_error(path, error) from error
 
 
-def select(store: Store, sql: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
+def select(store: Store, sql: str, values: Sequence[Any] | dict[str, Any] = ()) -> list[dict[str, Any]]:
     """Return the rows of a statement as dicts.
 
     Raises StoreError when there is no index, or it cannot be read.

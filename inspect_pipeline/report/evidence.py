@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.geometry.camera import CameraPoses, camera_axes
-from inspect_pipeline.geometry.local_frame import LocalMetres
 from inspect_pipeline.index.derived import load_store_rules
 from inspect_pipeline.index.reading import open_index
+from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
 from inspect_pipeline.inspection.rules import PRIORITIES
-from inspect_pipeline.inspection.span_view import make_axis
 from inspect_pipeline.inspection.spans import load_spans
 
 if TYPE_CHECKING:
@@ -20,19 +18,16 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.arrays import Floats
     from inspect_pipeline.index.reading import IndexReader
-    from inspect_pipeline.inspection.rules import Rules
-    from inspect_pipeline.inspection.spans import Span
     from inspect_pipeline.report.data import Row
     from inspect_pipeline.store.store import Store
 
 MAX_ANOMALIES, MAX_SPANS = 500, 40  # of a flight that get pictures
 _CROP_M = 6.0  # side of a crop
 _CROP_SHARES = (0.14, 0.4)  # and its limits, as shares of the longer side of the image
-_POSE = ("lat_deg", "lon_deg", "height_m", "cam_yaw_deg", "cam_pitch_deg", "cam_roll_deg", "focal_px")
 
 _ANOMALIES = "SELECT * FROM anomalies WHERE flight_id = ? ORDER BY start_ns, anomaly_id"
 _FRAMES = f"""
-SELECT f.channel_id, f.frame_idx, f.log_time_ns, f.width, f.height, {", ".join(_POSE)}
+SELECT f.channel_id, f.frame_idx, f.log_time_ns, f.width, f.height, {", ".join(POSE_COLUMNS)}
 FROM frames AS f
 WHERE f.flight_id = $flight_id AND f.status <> 'bad'
   AND {{'channel_id': f.channel_id, 'frame_idx': f.frame_idx}} IN (SELECT unnest($keys))
@@ -165,36 +160,12 @@ class _Places:
 
     def choose(self, anomaly: Row, frames: Sequence[Row]) -> Evidence:
         """Return the frame in which the place is nearest to the middle, else the middle frame."""
-        span = self._spans.get(anomaly["span_id"])
-        posed = [row for row in frames if all(row[name] is not None for name in _POSE)]
-        if span is None or not posed or anomaly["lat_deg"] is None:
+        seen = see_place(anomaly, self._spans.get(anomaly["span_id"]), frames, self._rules)
+        if np.isnan(seen).all():
             return _plain(frames[len(frames) // 2])
-        point, poses = _locate(anomaly, span, posed, self._rules)
-        pixels, depths = poses.project(point[np.newaxis])
-        shares = pixels[:, 0] / poses.sizes
-        inside = (depths[:, 0] > 0) & ((shares > 0) & (shares < 1)).all(axis=1)
-        if not inside.any():
-            return _plain(frames[len(frames) // 2])
-        best = int(np.where(inside, np.hypot(*(shares - 0.5).T), np.inf).argmin())
-        gsd_m = depths[best, 0] / poses.focal_px[best]
-        return _marked(_plain(posed[best]), pixels[best, 0], _CROP_M / gsd_m)
-
-
-def _locate(anomaly: Row, span: Span, frames: Sequence[Row], rules: Rules) -> tuple[Floats, CameraPoses]:
-    """Return the place (3,) of an anomaly at the height of conductors, and the cameras, in metres."""
-    origin = LocalMetres(anomaly["lat_deg"], anomaly["lon_deg"])
-    centres = make_axis(span, origin, rules).centres
-    point = centres[np.hypot(*centres[:, :2].T).argmin()]
-    lat, lon, up, yaw, pitch, roll, focal = np.array(
-        [[row[n] for n in _POSE] for row in frames], np.float64
-    ).T
-    poses = CameraPoses(
-        positions=np.column_stack((origin.to_metres(lat, lon), up)),
-        axes=camera_axes(np.column_stack((yaw, pitch, roll))),
-        focal_px=focal,
-        sizes=np.array([[row["width"], row["height"]] for row in frames], np.float64),
-    )
-    return point, poses
+        sizes = np.array([[row["width"], row["height"]] for row in frames], np.float64)
+        best = int(np.nanargmin(np.hypot(*(seen[:, :2] / sizes - 0.5).T)))
+        return _marked(_plain(frames[best]), seen[best, :2], _CROP_M / seen[best, 2])
 
 
 def _mark_track(anomaly: Row, evidence: Evidence, lines: Mapping[FrameKey, list[Row]]) -> Evidence:
@@ -215,7 +186,7 @@ def _marked(evidence: Evidence, pixel: Floats, crop_px: float) -> Evidence:
     left = int(np.clip(pixel[0] - side / 2, 0, evidence.width - side))
     top = int(np.clip(pixel[1] - side / 2, 0, evidence.height - side))
     x, y = (round(float(value), 1) for value in pixel)
-    mark = (x, y, round(side * 0.22, 1))
+    mark = (x, y, round(side * 0.36, 1))
     return Evidence(
         evidence.channel_id,
         evidence.frame_idx,

@@ -13,7 +13,7 @@ from inspect_pipeline.recording.reader import open_recording
 from inspect_pipeline.store.records import ANNOTATED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.recording.reader import Recording
@@ -47,16 +47,24 @@ def iter_images(
     """
     for topic in dict.fromkeys(topic for topic, _ in wanted):
         cameras = source.select_cameras([topic])
-        times = sorted(time_ns for (name, _), time_ns in wanted.items() if name == topic)
+        own = sorted((frame_idx, time_ns) for (name, frame_idx), time_ns in wanted.items() if name == topic)
         # A video is decoded from its start in any case, so once; of others only the wanted images are.
         is_video = cameras[0].channel_id in source.video_channel_ids
-        ranges = (
-            [(times[0], times[-1])] if is_video else [(time_ns, time_ns) for time_ns in dict.fromkeys(times)]
-        )
-        for first_ns, last_ns in ranges:
+        for first_ns, last_ns in [(own[0][1], own[-1][1])] if is_video else _time_ranges(own):
             for frame in iter_frames(source, cameras, start_ns=first_ns, end_ns=last_ns + 1):
                 if frame.image is not None and (topic, frame.frame_idx) in wanted:
                     yield topic, frame.frame_idx, frame.image
+
+
+def _time_ranges(frames: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the first and last time of each run of frames that follow each other."""
+    ranges: list[tuple[int, int]] = []
+    previous = None
+    for frame_idx, time_ns in frames:
+        is_next = previous is not None and frame_idx <= previous + 1
+        ranges[-1:] = [(ranges[-1][0], time_ns)] if is_next else [*ranges[-1:], (time_ns, time_ns)]
+        previous = frame_idx
+    return ranges
 
 
 def source_path(source_uri: str) -> Path:

@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from inspect_pipeline.errors import OutputError
-from inspect_pipeline.images.draw import draw_heat, draw_lines, score_colours, write_picture
+from inspect_pipeline.images.draw import (
+    add_strip,
+    draw_heat,
+    draw_lines,
+    draw_place,
+    draw_scores,
+    score_colours,
+    track_colours,
+    write_picture,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,6 +48,29 @@ def test_colours_spread_from_the_least_score_to_one() -> None:
     assert (low == beyond).all()
     assert low[0] < middle[0] < high[0]
     assert (high == [255, 0, 140]).all()
+
+
+def test_a_track_keeps_its_colour_and_differs_from_the_next() -> None:
+    colours = track_colours([4, None, 4, 5]).tolist()
+    assert colours[0] == colours[2] != colours[3]
+    assert colours[1] not in (colours[0], colours[3])
+    assert track_colours([]).shape == (0, 3)
+
+
+def test_scores_and_places_are_drawn_where_they_belong() -> None:
+    line = np.array([[10, 50], [90, 50]], np.float32)
+    scored = np.argwhere((draw_scores(GREY, [line], np.array([0.5], np.float32)) != 120).any(axis=2))
+    assert scored[:, 1].min() >= 10
+    ring = np.argwhere((draw_place(GREY, np.array([50.0, 30.0]), 12.0) != 120).any(axis=2))
+    distances = np.hypot(*(ring - (30, 50)).T)
+    assert 8 < distances.min() < distances.max() < 16
+
+
+def test_the_strip_is_below_the_picture() -> None:
+    drawn = add_strip(GREY, "2026-05-04 and much more text than there is room for" * 3, "frame 7")
+    assert drawn.shape[1] == 100
+    assert (drawn[:60] == 120).all()
+    assert drawn[60:].max() > 200  # its text
 
 
 def test_heat_grows_with_confidence() -> None:

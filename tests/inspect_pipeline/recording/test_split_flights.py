@@ -86,7 +86,7 @@ def test_only_annotations_of_a_split_recording_are_written(flight: Path, store: 
     )
     index.publish(store)
     drawn = draw_overlay(store, result.flight_id, 5)
-    assert (drawn.frame_idx, drawn.image.shape) == (5, (12, 16, 3))
+    assert (drawn.frame_idx, drawn.image.shape[1]) == (5, 16)
 
 
 def test_a_rosbag2_is_one_flight(tmp_path: Path, store: Store) -> None:

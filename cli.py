@@ -16,6 +16,7 @@ from inspect_pipeline.commands import (
     check,
     detect,
     doctor,
+    export,
     flights,
     index,
     info,
@@ -50,6 +51,7 @@ app.command()(check.check)
 app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)
+app.command()(export.export)
 app.command()(report.report)
 app.command()(pack.pack)
 app.command()(simulate.simulate)

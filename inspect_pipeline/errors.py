@@ -18,6 +18,7 @@ InspectError
 │   ├── SpansError               a spans file cannot be used
 │   └── TerrainError             a terrain model cannot be used
 ├── EmptyResultError             a result with frames would be replaced by one without
+├── MissingExtraError            an optional package is needed and not installed
 ├── HookError                    the command to run after a batch failed
 ├── QueryError                   an SQL statement is refused or fails
 │   ├── QueryTimeoutError        it takes too long
@@ -141,6 +142,14 @@ class EmptyResultError(InspectError):
             " stay as they are; select other frames"
         )
         self.path, self.flight_id, self.n_frames = path, flight_id, n_frames
+
+
+class MissingExtraError(InspectError):
+    """Raised when an optional package is needed and not installed."""
+
+    def __init__(self, what: str, extra: str) -> None:
+        super().__init__(f"{what} needs the extra {extra}: pip install 'lsnet-pipe[{extra}]'")
+        self.extra = extra
 
 
 class HookError(InspectError):

@@ -31,6 +31,7 @@ from inspect_pipeline.commands import (
     schedule,
     simulate,
     spans,
+    view,
 )
 from inspect_pipeline.commands.interrupts import exit_if_stopped, install_handlers
 from inspect_pipeline.commands.output import report_error, report_usage
@@ -52,6 +53,7 @@ app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)
 app.command()(export.export)
+app.command()(view.view)
 app.command()(report.report)
 app.command()(pack.pack)
 app.command()(simulate.simulate)

@@ -32,7 +32,8 @@ ROOT = Path(__file__).parents[1]
 README, CLI, FORMATS = (
     (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/cli.md", "docs/formats.md")
 )
-BLOCKS = re.findall(r"^```\n(.*?)^```", CLI, re.DOTALL | re.MULTILINE)
+EXPORT = (ROOT / "docs/export.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```\n(.*?)^```", CLI + EXPORT, re.DOTALL | re.MULTILINE)
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("lsnet-pipe ")]
 WITH_NETWORK = ("detect", "model")  # these have tests of their own, with shipped weights
 
@@ -85,6 +86,13 @@ def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path, fla
         if name == "overlay":
             (row,) = json.loads(run("query", "SELECT min(flight_id) AS id FROM flights", "--format", "json"))
             arguments = [row["id"] if a == "FLIGHT" else a for a in arguments]
+        if "ID" in arguments:
+            found = json.loads(
+                run("query", "SELECT min(anomaly_id) AS id FROM anomalies", "--format", "json")
+            )
+            if not found[0]["id"]:
+                continue
+            arguments = [found[0]["id"] if a == "ID" else a for a in arguments]
         if name == "pack":
             (folder / arguments[0]).mkdir(parents=True)
             shutil.copy(folder / "demo.mcap", folder / arguments[0] / "demo_0.mcap")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from inspect_pipeline.commands.options import StoreOption, open_store
-from inspect_pipeline.commands.output import printable
+from inspect_pipeline.commands.output import count_of, print_line, warn
+from inspect_pipeline.commands.progress import progress_bar
+from inspect_pipeline.errors import printable
 
 if TYPE_CHECKING:
     from inspect_pipeline.export.rows import Redaction, RedactMode
@@ -21,6 +22,7 @@ class What(StrEnum):
     """What is exported."""
 
     anomalies = "anomalies"
+    evidence = "evidence"
     frames = "frames"
     lines = "lines"
     spans = "spans"
@@ -37,6 +39,11 @@ class Form(StrEnum):
     csv = "csv"
     parquet = "parquet"
     geoparquet = "geoparquet"
+    jpeg = "jpeg"
+    coco = "coco"
+    labelme = "labelme"
+    esri_oriented = "esri-oriented"
+    rrd = "rrd"
 
 
 class Redact(StrEnum):
@@ -46,6 +53,7 @@ class Redact(StrEnum):
     fuzz = "fuzz"
 
 
+_STDOUT = Path("/dev/stdout")
 _SUFFIXES = {
     ".geojson": Form.geojson,
     ".json": Form.geojson,
@@ -54,12 +62,14 @@ _SUFFIXES = {
     ".csv": Form.csv,
     ".parquet": Form.parquet,
     ".geoparquet": Form.geoparquet,
+    ".rrd": Form.rrd,
 }
 
 
 def export(
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write; - for stdout.")
+        Path,
+        typer.Option("--output", "-o", metavar="FILE|DIR", help="The file or folder to write; - for stdout."),
     ],
     flight: Annotated[
         str | None,
@@ -70,7 +80,13 @@ def export(
     every: Annotated[bool, typer.Option("--all", help="Export all flights of the store.")] = False,
     what: Annotated[What, typer.Option(help="What is exported.")] = What.anomalies,
     form: Annotated[
-        Form | None, typer.Option("--format", help="Format of the file. Default: as its suffix says.")
+        Form | None, typer.Option("--format", help="Format. Default: as the suffix of the file says.")
+    ] = None,
+    anomaly: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID", help="Export the recording around this anomaly, as .mcap; no FLIGHT needed."
+        ),
     ] = None,
     redact: Annotated[
         Redact | None,
@@ -84,21 +100,47 @@ def export(
     Examples:
       lsnet-pipe export last -o anomalies.geojson
       lsnet-pipe export --all --what spans -o spans.gpkg
-      lsnet-pipe export 3f2a --what frames --redact fuzz -o frames.csv
+      lsnet-pipe export 3f2a --what evidence -o evidence
+      lsnet-pipe export --anomaly 0a1b2c -o snippet.mcap
     """
-    if (flight is None) != every:
-        raise typer.BadParameter("give a FLIGHT, such as last, or --all")
-    if str(output) == "-":
-        output = Path("/dev/stdout")
-    source = open_store(store)
-    flight_ids = _find_flights(source, flight)
+    if sum((flight is not None, every, anomaly is not None)) != 1:
+        raise typer.BadParameter("give a FLIGHT, such as last, or --all, or --anomaly ID")
+    if output == Path("-"):
+        output = _STDOUT
+    if anomaly is not None:
+        if redact or form or output.suffix.lower() not in {".mcap", ""}:
+            raise typer.BadParameter(
+                "--anomaly exports a recording as it is: name an .mcap file, without --format or --redact"
+            )
+        _export_snippet(open_store(store), anomaly, output)
+        return
     chosen = _choose_format(output, what, form)
+    source = open_store(store)
+    flight_ids, redaction = _find_flights(source, flight), _to_redaction(redact)
+    if chosen == Form.rrd:
+        _export_rrd(source, flight_ids, output, redaction)
+    elif what == What.evidence:
+        _export_evidence(source, flight_ids, output, chosen, redaction)
+    else:
+        from inspect_pipeline.export.tables import export_rows
 
-    from inspect_pipeline.export.tables import export_rows
+        rows = export_rows(source, flight_ids, what.value, output, form=chosen.value, redaction=redaction)
+        _report(output, f"{count_of(rows.n_rows, 'row')} of {what.value}", redaction)
 
-    redaction = _to_redaction(redact)
-    rows = export_rows(source, flight_ids, what.value, output, form=chosen.value, redaction=redaction)
-    _report(output, f"{rows.n_rows:,} {what.value}", rows.note)
+
+def _choose_format(output: Path, what: What, form: Form | None) -> Form:
+    """Return the format, given or as the suffix says; refuse those that do not hold what is exported."""
+    from inspect_pipeline.export.evidence import EVIDENCE_FORMATS
+    from inspect_pipeline.export.tables import TABLE_FORMATS
+
+    possible = EVIDENCE_FORMATS if what == What.evidence else (*TABLE_FORMATS[what.value], "rrd")
+    default = Form.jpeg if what == What.evidence else None
+    chosen = form or _SUFFIXES.get(output.suffix.lower(), default)
+    if chosen is None:
+        raise typer.BadParameter(f"{output}: its suffix names no format; give --format {'|'.join(possible)}")
+    if chosen.value not in possible:
+        raise typer.BadParameter(f"{what} is exported as {', '.join(possible)}, not as {chosen}")
+    return chosen
 
 
 def _find_flights(store: Store, name: str | None) -> list[str]:
@@ -111,19 +153,6 @@ def _find_flights(store: Store, name: str | None) -> list[str]:
     return [row["flight_id"] for row in select(store, every)]
 
 
-def _choose_format(output: Path, what: What, form: Form | None) -> Form:
-    """Return the format, given or as the suffix says; refuse those that do not hold what is exported."""
-    from inspect_pipeline.export.tables import TABLE_FORMATS
-
-    possible = TABLE_FORMATS[what.value]
-    chosen = form or _SUFFIXES.get(output.suffix.lower())
-    if chosen is None:
-        raise typer.BadParameter(f"{output}: its suffix names no format; give --format {'|'.join(possible)}")
-    if chosen.value not in possible:
-        raise typer.BadParameter(f"{what} are exported as {', '.join(possible)}, not as {chosen}")
-    return chosen
-
-
 def _to_redaction(mode: Redact | None) -> Redaction | None:
     if mode is None:
         return None
@@ -133,8 +162,47 @@ def _to_redaction(mode: Redact | None) -> Redaction | None:
     return Redaction.of(chosen)
 
 
-def _report(output: Path, counts: str, note: str | None) -> None:
+def _export_snippet(store: Store, anomaly_id: str, output: Path) -> None:
+    from inspect_pipeline.export.snippet import export_snippet
+    from inspect_pipeline.index.anomalies import find_anomaly
+
+    n_messages = export_snippet(store, find_anomaly(store, anomaly_id), output)
+    _report(output, count_of(n_messages, "message"), None)
+
+
+def _export_rrd(store: Store, flight_ids: list[str], output: Path, redaction: Redaction | None) -> None:
+    from inspect_pipeline.export.rerun import export_rrd
+
+    if len(flight_ids) != 1:
+        raise typer.BadParameter("a recording of Rerun holds one flight: give a FLIGHT")
+    _report(output, count_of(export_rrd(store, flight_ids[0], output, redaction), "image"), redaction)
+
+
+def _export_evidence(
+    store: Store, flight_ids: list[str], folder: Path, form: Form, redaction: Redaction | None
+) -> None:
+    from inspect_pipeline.export.evidence import export_evidence
+
+    with progress_bar(folder.name, None) as advance:
+        found = export_evidence(
+            store,
+            flight_ids,
+            folder,
+            form=form.value,
+            redaction=redaction,
+            on_progress=lambda done, total: advance(completed=done, total=total),
+        )
+    for failure in found.failures:
+        warn(failure)
+    _report(folder, count_of(found.n_images, "image"), redaction)
+    if found.failures:
+        raise typer.Exit(1)
+
+
+def _report(output: Path, counts: str, redaction: Redaction | None) -> None:
     """Say what was written; on stderr where the export itself goes to stdout."""
-    is_stdout = output == Path("/dev/stdout")
-    text = f"{'stdout' if is_stdout else output}: {counts}{f'; {note}' if note else ''}"
-    typer.echo(printable(text), err=is_stdout or (not sys.stdout.isatty() and is_stdout))
+    text = f"{output}: {counts}{f'; {redaction.note}' if redaction else ''}"
+    if output == _STDOUT:
+        typer.echo(printable(text), err=True)
+    else:
+        print_line(text)

@@ -121,14 +121,18 @@ def _iter_frames(
         raise RecordingError(recording.path, losses.phrases[-1], "not one image can be read, copy it again")
 
 
-def iter_channel_messages(recording: Recording, channel_ids: Collection[int]) -> RecordingIterator[Message]:
-    """Iterate over the messages of some channels in log-time order.
+def iter_channel_messages(
+    recording: Recording, channel_ids: Collection[int], *, start_ns: int = 0, end_ns: int = _NEVER_NS
+) -> RecordingIterator[Message]:
+    """Iterate over the messages of some channels with start_ns <= log time < end_ns, in log-time order.
 
     Raises RecordingError when anything is lost of a `strict` recording.
     """
     losses = Losses(recording)
     extents = recording.extents(channel_ids) if channel_ids else []
-    return RecordingIterator(merge_messages(extents, frozenset(channel_ids), losses.add), losses)
+    overlapping = [e for e in extents if e.extent.end_ns >= start_ns and e.extent.start_ns < end_ns]
+    messages = merge_messages(overlapping, frozenset(channel_ids), losses.add)
+    return RecordingIterator((m for m in messages if start_ns <= m.log_time_ns < end_ns), losses)
 
 
 def _first_images(recording: Recording, camera: CameraChannel) -> Iterator[ImageMessage]:

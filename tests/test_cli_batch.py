@@ -153,6 +153,7 @@ def test_every_option_can_be_in_the_file(
         keep-annotated = 30
         metrics = "lsnet.prom"
         on-finish = "true"
+        report = true
         log-format = "json"
         [signals]
         battery = "/battery.percentage"

@@ -122,6 +122,12 @@ def batch(
     on_finish: Annotated[
         str | None, typer.Option(metavar="CMD", help="Run this with the summary as JSON on its stdin.")
     ] = None,
+    reports: Annotated[
+        bool,
+        typer.Option(
+            "--report", help="Write the report of each new flight into the folder reports of the store."
+        ),
+    ] = False,
     log_format: Annotated[LogFormat, typer.Option(help="Format of the log on stderr.")] = LogFormat.text,
 ) -> None:
     """Process every new recording of inboxes.
@@ -174,6 +180,10 @@ def batch(
             _print_plan(the_store, job, options, report)
             return
         exit_code = _run(the_store, job, options, report, metrics=metrics, on_finish=on_finish)
+        if reports:
+            from inspect_pipeline.report.store_page import write_reports
+
+            report("reports written", n_pages=write_reports(the_store))
     raise typer.Exit(exit_code)
 
 

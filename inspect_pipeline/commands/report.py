@@ -19,6 +19,9 @@ def report(
             metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."
         ),
     ] = None,
+    all_flights: Annotated[
+        bool, typer.Option("--all", help="One page of all flights and spans of the store.")
+    ] = False,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The page to write.")] = Path(
         "report.html"
     ),
@@ -31,17 +34,26 @@ def report(
     Examples:
       lsnet-pipe report last --open
       lsnet-pipe report flight.mcap -o flight.html
+      lsnet-pipe report --all -o store.html
     """
-    if flight is None:
-        raise typer.BadParameter("give a FLIGHT, such as last")
+    if (flight is None) != all_flights:
+        raise typer.BadParameter("give a FLIGHT, such as last, or --all")
     check_suffix(output, (".html", ".htm"))
-
-    from inspect_pipeline.report.data import resolve_flight
-    from inspect_pipeline.report.page import render_flight, write_page
-
     source = open_store(store)
-    flight_id = resolve_flight(source, flight)
-    write_page(output, render_flight(source, flight_id))
-    print_line(f"{output}: flight {flight_id[:16]}")
+
+    from inspect_pipeline.report.page import write_page
+
+    if flight is None:
+        from inspect_pipeline.report.store_page import render_store
+
+        write_page(output, render_store(source, {}))
+        print_line(f"{output}: all flights")
+    else:
+        from inspect_pipeline.report.data import resolve_flight
+        from inspect_pipeline.report.flight_page import render_flight
+
+        flight_id = resolve_flight(source, flight)
+        write_page(output, render_flight(source, flight_id))
+        print_line(f"{output}: flight {flight_id[:16]}")
     if open_page:
         webbrowser.open(output.absolute().as_uri())

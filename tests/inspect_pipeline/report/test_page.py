@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import re
-from html.parser import HTMLParser
+import shutil
 from typing import TYPE_CHECKING
 
 import flights as made
 import inspected
 import pytest
+from pages import Page, check
 
+from inspect_pipeline import publishing
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
-from inspect_pipeline.report.page import render_flight
+from inspect_pipeline.report.flight_page import render_flight
+from inspect_pipeline.report.store_page import render_store, write_reports
 from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth
 from inspect_pipeline.store.feedback import add_review
@@ -28,50 +29,6 @@ TRUTH = simulate_truth(
     SimulationOptions(16, 4, seed=11, faults=(FaultKind.MISSING_CONDUCTOR, FaultKind.DARK))
 )
 HOSTILE = "<script>alert(1)</script>\x1b[31m\"'&\u202e"
-_VOID = {"meta", "br", "img", "link", "input", "hr"}
-
-
-class Page(HTMLParser):
-    """What a page holds; tags that do not match are refused."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.ids: list[str] = []
-        self.links: list[str] = []
-        self.scripts: list[str] = []
-        self.styles: list[str] = []
-        self.attributes: set[str] = set()
-        self.policy = ""
-        self.text = ""
-        self._open: list[str] = []
-        self.feed(text)
-        self.close()
-        assert self._open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        values = dict(attrs)
-        self.attributes |= set(values)
-        self.ids += [values["id"]] if values.get("id") else []
-        self.links += [values[name] for name in ("href", "src") if values.get(name)]
-        if values.get("http-equiv") == "Content-Security-Policy":
-            self.policy = values["content"] or ""
-        if tag not in _VOID:
-            self._open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        self.handle_endtag(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag not in _VOID:
-            assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        inside = self._open[-1] if self._open else ""
-        if inside in ("script", "style"):
-            (self.scripts if inside == "script" else self.styles).append(data)
-        else:
-            self.text += data
 
 
 @pytest.fixture(scope="module")
@@ -82,18 +39,6 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     import_spans(store, inspected.spans_of(TRUTH))
     index.publish(store)
     return store
-
-
-def check(page: Page) -> None:
-    """Links lead to elements of the page, ids are unique, nothing is loaded, only hashed code runs."""
-    assert len(page.ids) == len(set(page.ids))
-    assert all(link.startswith("data:") or link[1:] in page.ids for link in page.links), page.links
-    assert not [name for name in page.attributes if name.startswith("on") or name == "style"]
-    for kind, (code,) in {"script-src": page.scripts, "style-src": page.styles}.items():
-        digest = base64.b64encode(hashlib.sha256(code.encode()).digest()).decode()
-        assert f"{kind} 'sha256-{digest}'" in page.policy
-    assert page.policy.startswith("default-src 'none'")
-    assert "unsafe" not in page.policy
 
 
 def test_the_page_of_a_flight_with_a_fault(store: Store) -> None:
@@ -135,3 +80,30 @@ def test_decisions_are_listed(store: Store, tmp_path: Path) -> None:
     check(page)
     assert "<b>night</b>" in page.text
     assert re.search(r"dismissed\s*kim", page.text)
+
+
+def test_the_page_of_a_store_leads_to_those_of_its_flights(store: Store) -> None:
+    flight_id = made.flight_id_of("faulty")
+    page = Page(render_store(store, {flight_id: "faulty.html"}))
+    check(page, ("faulty.html",))
+    assert "faulty.html" in page.links
+    (row,) = select(store, "SELECT * FROM anomalies WHERE kind = 'conductor_count'")
+    assert f"faulty.html#finding-{row['anomaly_id']}" in page.links
+    (seen,) = select(store, "SELECT sum(covered_m) / sum(length_m) AS share FROM span_last_seen")
+    assert f"{100 * seen['share']:.1f} %" in page.text
+
+
+def test_reports_are_written_anew_where_something_changed(store: Store, tmp_path: Path) -> None:
+    copy = Store(shutil.copytree(store.root, tmp_path / "store"))
+    publishing.publish(copy)
+    assert write_reports(copy) == 2
+    assert write_reports(copy) == 0
+    (row,) = select(copy, "SELECT * FROM anomalies WHERE kind = 'conductor_count'")
+    add_review(copy, row, "confirmed", "", "kim")
+    publishing.publish(copy)
+    assert write_reports(copy) == 1
+    assert "confirmed by kim" in (copy.root / "reports" / f"{row['flight_id'][:16]}.html").read_text("utf-8")
+    copy.remove_flight(row["flight_id"])
+    publishing.publish(copy)
+    write_reports(copy)
+    assert len(list((copy.root / "reports").iterdir())) == 2  # of the other flight, and the index

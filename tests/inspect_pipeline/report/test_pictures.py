@@ -16,7 +16,7 @@ from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.report import thumbnails
 from inspect_pipeline.report.evidence import load_evidence
-from inspect_pipeline.report.page import render_flight
+from inspect_pipeline.report.flight_page import render_flight
 from inspect_pipeline.report.thumbnails import encode_small
 from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth

@@ -181,9 +181,10 @@ def batch(
             return
         exit_code = _run(the_store, job, options, report, metrics=metrics, on_finish=on_finish)
         if reports:
-            from inspect_pipeline.report.store_page import write_reports
+            from inspect_pipeline.report.store_page import FOLDER, write_reports
 
-            report("reports written", n_pages=write_reports(the_store))
+            n_pages = write_reports(the_store)
+            report("reports written", folder=os.fspath(the_store.root / FOLDER), n_pages=n_pages)
     raise typer.Exit(exit_code)
 
 

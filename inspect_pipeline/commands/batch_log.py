@@ -35,7 +35,9 @@ _LINES = {
     "folder of the inbox cannot be read": "{path}: skipped, it cannot be read; check the permissions",
     "annotated copy removed": "annotated copy of flight {flight_id:.16} removed",
     "index published": "index published, {flights}",
+    "reports written": "{folder}: {pages} written, and index.html",
 }
+_NOUNS = {"n_flights": "flight", "n_lines": "line", "n_found": "recording", "n_pages": "page"}
 _ENDS = ("recording done", "recording quarantined", "recording changed while it was read")
 _PROBLEMS = (
     *_ENDS[1:],
@@ -91,7 +93,7 @@ def _describe(event: str, fields: dict[str, object]) -> str:
     if event == "batch finished":
         return f"error: {fields['error']}" if fields["error"] else ""
     texts = dict(fields)
-    for name, noun in (("n_flights", "flight"), ("n_lines", "line"), ("n_found", "recording")):
+    for name, noun in _NOUNS.items():
         if name in fields:
             texts[f"{noun}s"] = texts[name] = count_of(int(str(fields[name])), noun)
     if event == "recording done":

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import heapq
 import json
+from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from inspect_pipeline.export.layout import (
@@ -67,6 +68,7 @@ def write_review(index: IndexReader, flight_id: str, target: Path) -> None:
     (flight,) = index.select(_FLIGHT, [flight_id])
     anomalies = list(index.iter_rows("anomalies", flight_id))
     max_frames = max(1, flight["n_frames"] // _MAX_PIECES)
+    topics = {channel["channel_id"]: channel["topic"] for channel in flight["channels"] or ()}
     streams = [
         _span_events(index.iter_rows("spans", flight_id), flight["start_ns"]),
         [_Event(row["start_ns"], LOG_TOPIC, row) for row in anomalies],
@@ -75,7 +77,7 @@ def write_review(index: IndexReader, flight_id: str, target: Path) -> None:
             for row in anomalies
             if _is_placed(row)
         ],
-        *(_camera_events(index, flight_id, channel, max_frames) for channel in flight["channels"] or ()),
+        _camera_events(index.iter_rows("numbers", flight_id), topics, max_frames),
     ]
     schema = read_schema("frame_numbers.json").encode()
     numbers = MessageSchema("lsnet.FrameNumbers", "jsonschema", schema, "json")
@@ -100,18 +102,32 @@ def _is_placed(row: Row) -> bool:
     return row["lat_deg"] is not None and row["lon_deg"] is not None
 
 
-def _camera_events(index: IndexReader, flight_id: str, channel: Row, max_frames: int) -> Iterator[_Event]:
-    """Yield the pieces of a camera's track, each of at most `max_frames` frames, before their numbers."""
-    piece: list[Row] = []
-    for row in index.iter_rows("numbers", flight_id):
-        if row["channel_id"] != channel["channel_id"]:
-            continue
+def _camera_events(rows: Iterable[Row], topics: Mapping[int, str], max_frames: int) -> Iterator[_Event]:
+    """Yield the pieces of each camera's track, of at most `max_frames` frames, before their numbers.
+
+    Frames and events are in the order of time; an event waits for the pieces that began before it.
+    """
+    pieces: dict[int, list[Row]] = {}
+    waiting: list[tuple[int, int, _Event]] = []
+    n_events = count()
+
+    def add(piece: list[Row], following: list[Row]) -> None:
+        for event in _piece_events(piece, following, topics[piece[0]["channel_id"]]):
+            heapq.heappush(waiting, (event.time_ns, next(n_events), event))
+
+    for row in rows:
+        piece = pieces.setdefault(row["channel_id"], [])
         if piece and (len(piece) >= max_frames or _state(row) != _state(piece[-1])):
-            yield from _piece_events(piece, [row], channel["topic"])
-            piece = []
-        piece.append(row)
-    if piece:
-        yield from _piece_events(piece, [], channel["topic"])
+            add(piece, [row])
+            pieces[row["channel_id"]] = piece = [row]
+            begin_ns = min(each[0]["log_time_ns"] for each in pieces.values())
+            while waiting and waiting[0][0] < begin_ns:
+                yield heapq.heappop(waiting)[2]
+        else:
+            piece.append(row)
+    for piece in pieces.values():
+        add(piece, [])
+    yield from (heapq.heappop(waiting)[2] for _ in range(len(waiting)))
 
 
 def _piece_events(piece: list[Row], following: list[Row], topic: str) -> Iterator[_Event]:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from inspect_pipeline.index.cameras import load_cameras
 from inspect_pipeline.inspection.anomalies.counts import count_conductors
 from inspect_pipeline.inspection.anomalies.find import Reviewed, inspect_cameras, with_ids
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
-from inspect_pipeline.inspection.rows import CameraRows, FrameRows, LineRows
 from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.inspection.spans import load_spans
 from inspect_pipeline.resources import MIGRATIONS, app_version
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import duckdb
-    from numpy.typing import NDArray
 
     from inspect_pipeline.inspection.anomalies.find import Anomaly
     from inspect_pipeline.inspection.coverage.measure import FlightCoverage
+    from inspect_pipeline.inspection.rows import CameraRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
     from inspect_pipeline.store.store import Store
@@ -51,31 +51,6 @@ DERIVED_TABLES = (
     "anomalies",
     "span_judgements",
 )
-
-_FRAMES = """
-SELECT frame_idx, log_time_ns, stamp_ns, coalesce(width, -1) AS width, coalesce(height, -1) AS height,
-       status = 'ok' AS is_ok, sharpness, mean_luma, lat_deg, lon_deg, height_m, cam_yaw_deg, cam_pitch_deg,
-       cam_roll_deg, pose_age_ms, focal_px, coalesce(attitude_source = 'camera', false) AS is_turn_known
-FROM frames
-WHERE flight_id = $flight_id AND channel_id = $channel_id
-ORDER BY frame_idx
-"""
-_IS_STILLS = "SELECT is_stills FROM channels WHERE flight_id = $flight_id AND channel_id = $channel_id"
-_LINES = """
-SELECT frame_idx, coalesce(track_id, -1) AS track_id, n_points
-FROM lines
-WHERE flight_id = $flight_id AND channel_id = $channel_id
-ORDER BY frame_idx, line_idx
-"""
-_POINTS = """
-SELECT point.x, point.y
-FROM (
-    SELECT frame_idx, line_idx, unnest(points) AS point, generate_subscripts(points, 1) AS number
-    FROM lines
-    WHERE flight_id = $flight_id AND channel_id = $channel_id
-)
-ORDER BY frame_idx, line_idx, number
-"""
 
 
 def input_digests(store: Store) -> dict[str, str]:
@@ -142,13 +117,6 @@ def inspect_flights(
     return Inspected(anomalies, coverage, judgements)
 
 
-def load_cameras(connection: duckdb.DuckDBPyConnection, flight_id: str) -> list[CameraRows]:
-    """Load the rows of a flight, camera by camera."""
-    channels = "SELECT DISTINCT channel_id FROM frames WHERE flight_id = ? ORDER BY 1"
-    ids = [channel_id for (channel_id,) in connection.execute(channels, [flight_id]).fetchall()]
-    return [_load_camera(connection, flight_id, channel_id) for channel_id in ids]
-
-
 def insert_records(
     connection: duckdb.DuckDBPyConnection, insert: str, table: str, rows: list[dict[str, Any]]
 ) -> None:
@@ -196,35 +164,6 @@ def _reviewed(store: Store) -> dict[str, list[Reviewed]]:
     return by_flight
 
 
-def _load_camera(connection: duckdb.DuckDBPyConnection, flight_id: str, channel_id: int) -> CameraRows:
-    key = {"flight_id": flight_id, "channel_id": channel_id}
-    columns = {name: _plain(values) for name, values in connection.execute(_FRAMES, key).fetchnumpy().items()}
-    lines = connection.execute(_LINES, key).fetchnumpy()
-    points = connection.execute(_POINTS, key).fetchnumpy()
-    frames = FrameRows(**columns)
-    (is_stills,) = connection.execute(_IS_STILLS, key).fetchone() or (None,)
-    return CameraRows(
-        channel_id,
-        frames,
-        LineRows(
-            frame=np.searchsorted(frames.frame_idx, _plain(lines["frame_idx"])).astype(np.int64),
-            track=_plain(lines["track_id"]).astype(np.int64),
-            first=np.concatenate(([0], np.cumsum(_plain(lines["n_points"])))).astype(np.int64),
-            points=np.column_stack((_plain(points["x"]), _plain(points["y"]))).astype(np.float64),
-        ),
-        is_stills=bool(is_stills),
-    )
-
-
-def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Remove the mask of a column: floats get NaN for NULL, integers and booleans stay as they are."""
-    if values.dtype.kind == "f":
-        filled: NDArray[Any] = np.ma.filled(values.astype(np.float64), np.nan)
-        return filled
-    plain: NDArray[Any] = np.ma.getdata(values)
-    return plain.astype(np.int64) if plain.dtype.kind in "iu" else plain
-
-
 def _insert_coverage(connection: duckdb.DuckDBPyConnection, flight_id: str, found: FlightCoverage) -> None:
     numbers = [{"flight_id": flight_id, **asdict(one), "share": one.share} for one in found.numbers]
     gaps = [{"flight_id": flight_id, **asdict(one), "duration_s": one.duration_s} for one in found.gaps]
@@ -266,19 +205,26 @@ def _insert_counts(
     spans: Sequence[Span],
     rules: Rules,
 ) -> None:
-    for camera in cameras:
-        for count in count_conductors(camera, spans, rules):
-            columns = {"frame_idx": count.frame_idx, "n_conductors": count.n_conductors}
-            connection.register("count_rows", columns)
-            connection.execute(
-                """
-                INSERT INTO conductor_counts BY NAME
-                SELECT $flight_id AS flight_id, $channel_id AS channel_id, $span_id AS span_id, *
-                FROM count_rows
-                """,
-                {"flight_id": flight_id, "channel_id": camera.channel_id, "span_id": count.span_id},
-            )
-            connection.unregister("count_rows")
+    counts = [(one.channel_id, found) for one in cameras for found in count_conductors(one, spans, rules)]
+    if not counts:
+        return
+    lengths = [len(found.frame_idx) for _, found in counts]
+    columns = {
+        "channel_id": np.repeat([channel_id for channel_id, _ in counts], lengths),
+        "count_idx": np.repeat(np.arange(len(counts)), lengths),
+        "frame_idx": np.concatenate([found.frame_idx for _, found in counts]),
+        "n_conductors": np.concatenate([found.n_conductors for _, found in counts]),
+    }
+    connection.register("count_rows", columns)
+    connection.execute(
+        """
+        INSERT INTO conductor_counts BY NAME
+        SELECT $flight_id AS flight_id, $span_ids[count_idx + 1] AS span_id, * EXCLUDE (count_idx)
+        FROM count_rows
+        """,
+        {"flight_id": flight_id, "span_ids": [found.span_id for _, found in counts]},
+    )
+    connection.unregister("count_rows")
 
 
 def _insert_anomalies(

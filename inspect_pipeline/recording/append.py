@@ -141,6 +141,8 @@ class AnnotationWriter:
         self._chunk = ChunkBuilder()
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._schema_ids: dict[tuple[str, str, bytes], int] = {}
+        self._topics = {channel.topic for channel in source.channels}
+        self._topics.update(channel.topic for channel in contents.channels.values())
 
     def add_channel(
         self,
@@ -153,9 +155,9 @@ class AnnotationWriter:
         metadata: Mapping[str, str],
     ) -> int:
         """Add a channel and return its id. Raises AnnotationChannelError if the recording has this topic."""
-        taken = {channel.topic for channel in self._source.channels}
-        if topic in taken | {channel.topic for channel in self._contents.channels.values()}:
+        if topic in self._topics:
             raise AnnotationChannelError(self._source.path, f"it has a channel {topic} already")
+        self._topics.add(topic)
         schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
         channel_id = self._free_id(self._contents.used_channel_ids)
         channel = Channel(channel_id, topic, message_encoding, dict(metadata), schema_id)

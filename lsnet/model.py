@@ -107,7 +107,7 @@ class ConvNormAct(nn.Sequential):
         convolution = EndPadded if end_padded else nn.Conv2d
         super().__init__(
             convolution(c_in, c_out, kernel, stride, dilation if is_padded else 0, dilation, bias=False),
-            nn.GroupNorm(c_out // GROUP_SIZE, c_out) if norm == "group" else nn.BatchNorm2d(c_out),
+            nn.GroupNorm(max(1, c_out // GROUP_SIZE), c_out) if norm == "group" else nn.BatchNorm2d(c_out),
             nn.ReLU(inplace=True),
         )
 

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import cli
 from lsnet import LSNetError, load_weights, model
-from lsnet.evaluation.compare import compare
+from lsnet.evaluation.compare import compare, trainings
 from lsnet.training import checkpoints, recipe
 
 if TYPE_CHECKING:
@@ -174,9 +174,9 @@ def test_grids_of_a_rival_are_one_line() -> None:
 
 
 def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(compare.VARIANTS, "networks", (compare.Variant("small", TINY),))
+    monkeypatch.setattr(compare, "NETWORKS", (compare.SizedVariant("small", TINY),))
     monkeypatch.setattr(compare, "cpu_ms_of", lambda _network: {"torch": 2.0, "openvino f32": 1.0})
-    monkeypatch.setattr(compare, "VALIDATION_IMAGES", 1)
+    monkeypatch.setattr(trainings, "VALIDATION_IMAGES", 1)
     words = (
         "compare",
         write_masks(tmp_path / "m"),
@@ -196,6 +196,61 @@ def test_compare_prints_a_table_and_draws_a_chart(tmp_path: Path, monkeypatch: p
     (rows,) = (json.loads(line) for line in run(*words, "--json").stdout.splitlines())
     assert rows["result"]["name"] == "small"
     assert rows["cpu_ms"] == {"torch": 2.0, "openvino f32": 1.0}
+    other = run(*words, "--what", "rivals", "--chart", "chart.svg")
+    assert "leave out --chart or --what rivals" in str(other.exception)
+
+
+def test_ablate_prints_the_figures_of_the_paper_beside(tmp_path: Path) -> None:
+    write_masks(tmp_path / "m")
+    result = run("ablate", "m", *TINY_RUN)
+    assert (result.exit_code, result.stderr) == (0, "")
+    heads, _, *rows = result.stdout.splitlines()
+    assert heads == "| grids | set | APR | ARR | F1 | paper: APR | ARR | F1 |"
+    assert [row.split(" | ")[0] for row in rows] == [
+        *("| LS-Net-1-M", "| LS-Net-2-MH", "| LS-Net-2-MV", "| LS-Net-2-MC"),
+        *("| LS-Net-3-MHC", "| LS-Net-3-MVC", "| LS-Net-3-MVH", "| LS-Net-4-MHVC"),
+    ]
+    assert rows[0].endswith("| 0.8312 | 0.3791 | 0.4847 |")
+    (first, *_) = run("ablate", "m", "--what", "grids", "--json", *TINY_RUN).stdout.splitlines()
+    assert json.loads(first)["published"] == [0.8312, 0.3791, 0.4847]
+
+
+def test_ablate_trains_in_the_folder_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainings, "VALIDATION_IMAGES", 1)
+    monkeypatch.setattr("lsnet.evaluation.compare.ablation.thin_paper", lambda _thinner: TINY)
+    size = ("--images", 1, "--steps", 1, "--batch-size", 1, "--crop", 64, "--seeds", 1, "--workers", 0)
+    words = ("ablate", write_masks(tmp_path / "m"), "--run", "run", "--what", "classification")
+    result = run(*words, *size, "--device", "cpu")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert [row.split(" | ")[0] for row in result.stdout.splitlines()[2:]] == ["| LS-Net-CE", "| LS-Net-FL"]
+    assert run(*words, *size, "--device", "cpu").stdout == result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "give --run to train, or --weights"),
+        (("--run", "run", "--weights", "fast"), "give --run to train, or --weights"),
+        (("--weights", "fast", "--what", "regression"), "only the ablation of the grids needs no training"),
+    ],
+)
+def test_unusable_ablations_are_one_line(arguments: tuple[str, ...], message: str) -> None:
+    assert message in str(run("ablate", "m", *arguments).exception)
+
+
+def test_train_and_evaluate_a_rival(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _validate_on_few_images(monkeypatch)
+    write_masks(tmp_path / "m")
+    network = ("--preset", "wd-dcnn-gnfl", "--network", "channels=4", "--network", "dilations=1,2")
+    steps = ("--steps", 2, "--batch-size", 1, "--validate-every", 2, "--crop", 64, "--workers", 0)
+    result = run("train", "--run", "rival", *network, *steps, "--device", "cpu")
+    assert (result.exit_code, result.stderr) == (0, "")
+    (row,) = run("eval", "m", "--paper", "--rival", "rival", "--json").stdout.splitlines()
+    assert (json.loads(row)["width_px"], json.loads(row)["binarised"]) == (None, "otsu")
+    plain = photos(tmp_path / "plain")
+    for words in ((plain,), ("m", "--synthetic", 1)):
+        assert "needs folders with masks" in str(run("eval", *words, "--rival", "rival").exception)
+    assert "no rival 'rivals'; give lsd, hough" in str(run("eval", "m", "--rival", "rivals").exception)
 
 
 def test_synth_and_train_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

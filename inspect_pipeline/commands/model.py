@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands import model_eval
+from inspect_pipeline.commands import model_compare, model_eval
+from inspect_pipeline.commands.model_compare import Device, DeviceOption
 from inspect_pipeline.commands.options import BackgroundOption, RunOption, RuntimeOption, WeightsOption
 from inspect_pipeline.commands.progress import progress_bar
 
@@ -28,14 +29,6 @@ class Recipe(StrEnum):
 
     DEFAULT = "default"
     PAPER = "paper"
-
-
-class Device(StrEnum):
-    """Values of `--device`."""
-
-    AUTO = "auto"
-    CUDA = "cuda"
-    CPU = "cpu"
 
 
 def train(
@@ -58,7 +51,8 @@ def train(
         Recipe, typer.Option(help="Optimizer, schedule and augmentations; paper: those of the paper.")
     ] = Recipe.DEFAULT,
     preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Network: paper or fast. Default: fast.")
+        str | None,
+        typer.Option(metavar="NAME", help="Network: paper, fast, or a rival as wd-dcnn-gnfl. Default: fast."),
     ] = None,
     network: Annotated[
         list[str] | None,
@@ -90,9 +84,7 @@ def train(
     seed: Annotated[
         int, typer.Option(min=0, max=999_999, help="Seed of the images and the initial weights.")
     ] = 0,
-    device: Annotated[
-        Device, typer.Option(help="Where to train. Default: a GPU if torch can use one.")
-    ] = Device.AUTO,
+    device: DeviceOption = Device.AUTO,
     threads: Annotated[int, typer.Option(min=1, help="Threads of the training process.")] = 1,
     workers: Annotated[int, typer.Option(min=0, help="Processes that draw images.")] = 1,
     start: Annotated[
@@ -115,9 +107,9 @@ def train(
       lsnet-pipe model train --run runs/c --recipe paper --preset paper --rendered renders --background photos
       lsnet-pipe model train --run runs/d --loss regression=l2 --network downsample=pool --preset paper
     """
+    from lsnet.evaluation.baselines.learned import open_any_task
     from lsnet.training.recipe import RECIPES
     from lsnet.training.sources import TrainingData, open_sources
-    from lsnet.training.tasks import open_task
     from lsnet.training.trainer import Trainer
 
     is_paper = recipe == Recipe.PAPER
@@ -144,7 +136,7 @@ def train(
         device=device.value,
         data=sources.describe(),
     )
-    task = open_task(config.preset, network or (), loss or (), longest=longest or is_paper)
+    task = open_any_task(config.preset, network or (), loss or (), longest=longest or is_paper)
     train_on, validate_on = open_sources(sources)
     trainer = Trainer(config, run, seed=seed, start=start, task=task)
     with progress_bar("train", steps, done=trainer.step) as advance:
@@ -245,7 +237,8 @@ def mine(
 app.command()(train)
 app.command()(export)
 app.command(name="eval")(model_eval.evaluate)
-app.command()(model_eval.compare)
+app.command()(model_compare.compare)
+app.command()(model_compare.ablate)
 app.command()(synth)
 app.command()(mine)
 app.command()(model_eval.bench)

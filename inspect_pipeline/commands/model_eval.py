@@ -1,4 +1,4 @@
-"""`lsnet-pipe model eval|compare|bench`: score and time networks."""
+"""`lsnet-pipe model eval` and `bench`: how good and how fast weights and rivals are."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import typer
 from inspect_pipeline.commands.options import (
     BackgroundOption,
     JsonOption,
-    RunOption,
     RuntimeOption,
     WeightsOption,
 )
@@ -25,13 +24,6 @@ class Use(StrEnum):
 
     SEGMENTS = "segments"
     LINES = "lines"
-
-
-class What(StrEnum):
-    """Values of `--what`."""
-
-    NETWORKS = "networks"
-    ABLATIONS = "ablations"
 
 
 def evaluate(
@@ -57,7 +49,10 @@ def evaluate(
     background: BackgroundOption = None,
     rival: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Evaluate another detector: lsd, or the .tflite file of M-LSD."),
+        typer.Option(
+            metavar="NAME",
+            help="Evaluate another detector: lsd, hough, the .tflite file of M-LSD, or the run of a rival.",
+        ),
     ] = None,
     grids: Annotated[
         str | None,
@@ -95,43 +90,6 @@ def evaluate(
         reports = evaluate_all(detector, task, on_image=advance)
     for report in reports:
         typer.echo(json.dumps(asdict(report)) if as_json else str(report))
-
-
-def compare(
-    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Evaluation sets with truth.")],
-    run: RunOption,
-    what: Annotated[What, typer.Option(help="Networks of several sizes, or ablations of the paper.")] = (
-        What.NETWORKS
-    ),
-    background: BackgroundOption = None,
-    images: Annotated[int, typer.Option(min=1, help="Drawn images to train on.")] = 3700,
-    steps: Annotated[int, typer.Option(min=1, help="Batches to train each network on.")] = 4000,
-    workers: Annotated[int, typer.Option(min=0, help="Processes that draw images.")] = 1,
-    chart: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a chart of ODS over time, .svg or .png (extra plot)."),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Compare networks or losses after a short training.
-
-    All are trained on the same drawn images. A run that was killed continues when it is started again.
-
-    \b
-    Examples:
-      lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
-    """
-    from lsnet.evaluation.compare.compare import VARIANTS, Comparison, compare_all
-    from lsnet.evaluation.compare.table import table, write_chart
-
-    comparison = Comparison(run, tuple(background or ()), tuple(folders), images, steps)
-    candidates = VARIANTS[what.value]
-    with progress_bar("compare", len(candidates) * steps) as advance:
-        rows = compare_all(comparison, candidates, workers=workers, report=advance)
-    if chart:
-        write_chart(rows, chart)
-    for line in [json.dumps(asdict(row)) for row in rows] if as_json else table(rows):
-        typer.echo(line)
 
 
 def bench(

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 from lsnet.detector import Detector
 from lsnet.errors import LSNetError
+from lsnet.evaluation.baselines.hough import Hough
+from lsnet.evaluation.baselines.learned import LearnedRival
 from lsnet.evaluation.baselines.lsd import LSD
 from lsnet.evaluation.baselines.mlsd import MLSD
 from lsnet.evaluation.cables import evaluate_cables
 from lsnet.evaluation.datasets import images_of
 from lsnet.evaluation.grids import OnlyGrids
-from lsnet.evaluation.paper import PaperProtocol, evaluate_as_paper
+from lsnet.evaluation.paper import PaperProtocol, evaluate_as_paper, evaluate_pixels_as_paper
 from lsnet.evaluation.pixels import evaluate
 from lsnet.evaluation.rasterize import SIGMA_PX
 from lsnet.runtime import open_backend
@@ -76,13 +78,14 @@ class EvalTask:
 
 def open_line_detector(
     weights: str, runtime: str, rival: str | None, grids: str | None = None
-) -> tuple[LineDetector, float]:
+) -> tuple[LineDetector | LearnedRival, float]:
     """Open the detector to evaluate, with a threshold of 0.05; return it with its default threshold.
 
     Args:
         weights: Name or file of weights.
         runtime: As in `Detector.load`.
-        rival: Another detector instead: lsd, or the path of M-LSD's .tflite file.
+        rival: Another detector instead: lsd, hough, the path of M-LSD's .tflite file, or the folder of a run
+            of a learned rival.
         grids: Letters of the grids to use, as in `OnlyGrids`. Default: all.
 
     Raises:
@@ -92,20 +95,45 @@ def open_line_detector(
         raise LSNetError("only LS-Net has grids; leave out the grids or the rival")
     if rival == "lsd":
         return LSD(), LSD.min_score
+    if rival == "hough":
+        return Hough(), Hough.min_score
     if rival and rival.endswith(".tflite"):
         return MLSD(Path(rival)), MLSD.min_score
     if rival:
-        raise LSNetError(f"no rival {rival!r}; give lsd, or the path of M-LSD's .tflite file")
+        if not (Path(rival) / "best.pt").is_file():
+            raise LSNetError(f"no rival {rival!r}; give lsd, hough, M-LSD's .tflite file, or a rival's run")
+        return LearnedRival.load(Path(rival)), 0.5
+    return open_grids(weights, runtime)(grids or "MHVC"), load_weights(weights).card.min_score
+
+
+def open_grids(weights: str, runtime: str) -> Callable[[str], Detector]:
+    """Return a function that opens a detector with some of the grids, with a threshold of 0.05.
+
+    Raises:
+        LSNetError: The weights or the runtime cannot be used.
+    """
     loaded = load_weights(weights)
-    backend = OnlyGrids(open_backend(loaded.net, runtime), grids or "MHVC")
-    return Detector(loaded, backend, loaded.card.scale, min_score=0.05), loaded.card.min_score
+    backend = open_backend(loaded.net, runtime)
+    return lambda grids: Detector(loaded, OnlyGrids(backend, grids), loaded.card.scale, min_score=0.05)
 
 
 def evaluate_all(
-    detector: LineDetector, task: EvalTask, on_image: Callable[[], None] = lambda: None
+    detector: LineDetector | LearnedRival, task: EvalTask, on_image: Callable[[], None] = lambda: None
 ) -> list[Report]:
-    """Return the reports of the folders in order, then of the synthetic images."""
+    """Return the reports of the folders in order, then of the synthetic images.
+
+    A rival that scores pixels has the paper's scores only.
+
+    Raises:
+        LSNetError: A folder cannot be used, or the rival cannot be scored so.
+    """
     reports: list[Report] = []
+    if isinstance(detector, LearnedRival):
+        for folder in task.folders:
+            reports += evaluate_pixels_as_paper(detector, folder, on_image)
+        if task.synthetic or not reports:
+            raise LSNetError("a rival that scores pixels needs folders with masks or boundaries; give such")
+        return reports
     min_score = task.min_score
     protocol = PaperProtocol(min_score=min_score, sigma_px=task.sigma_px, use=task.use)
     for folder in task.folders:

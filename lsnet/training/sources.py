@@ -128,6 +128,8 @@ def export_run(run: Path, output: Path, name: str, min_score: float, metrics: Pa
         measured = [json.loads(line) for line in metrics.read_text().splitlines()] if metrics else []
     except (OSError, ValueError, RecursionError) as err:
         raise LSNetError(f"{metrics}: not the output of lsnet-pipe model eval --json") from err
+    if "rival" in recipe:
+        raise LSNetError(f"{run}: a run of a rival; score it with lsnet-pipe model eval --rival {run}")
     try:
         config = LSNetConfig(**recipe.pop("network"))
         net = LSNet(config)

@@ -8,6 +8,7 @@ import pytest
 from nets import openvino_or_skip
 
 from lsnet import LSNetError
+from lsnet.evaluation.baselines.hough import Hough, parallel
 from lsnet.evaluation.baselines.lengths import SCORE_LENGTH_PX
 from lsnet.evaluation.baselines.lsd import LSD
 from lsnet.evaluation.baselines.mlsd import MLSD, decode
@@ -63,3 +64,22 @@ def test_mlsd_finds_the_edges_of_a_band(data_dir: Path) -> None:
     rows = long.endpoints[:, [1, 3]].mean(1)
     for edge in (80, 170):
         assert np.abs(rows - edge).min() < 3
+
+
+def test_the_classical_approach_keeps_parallel_lines() -> None:
+    """Three parallel cables and a stroke across: the stroke is left out."""
+    image = np.full((200, 300, 3), 60, np.uint8)
+    for row in (50, 90, 130):
+        cv2.line(image, (10, row), (290, row + 20), (230, 230, 230), 3)
+    cv2.line(image, (150, 10), (160, 190), (230, 230, 230), 3)
+    found = Hough().detect([image])[0].segments
+    steps = found.endpoints[:, 2:] - found.endpoints[:, :2]
+    angles = np.degrees(np.arctan2(steps[:, 1], steps[:, 0])) % 180
+    assert len(found) >= 3
+    assert np.abs(angles - np.degrees(np.arctan2(20, 280))).max() < 6
+    assert len(Hough().detect([np.zeros((64, 64, 3), np.uint8)])[0].segments) == 0
+
+
+def test_directions_near_zero_and_180_degrees_are_parallel() -> None:
+    ends = np.array([[0, 10, 100, 11], [0, 30, 100, 29], [50, 0, 50, 90]], np.float32)
+    np.testing.assert_array_equal(parallel(ends), ends[:2])

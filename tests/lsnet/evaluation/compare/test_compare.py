@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 from evaluation_sets import write_masks
@@ -16,12 +17,16 @@ from nets import TINY
 
 from lsnet import LSNetError
 from lsnet.evaluation.compare import data as compare_data
+from lsnet.evaluation.compare import trainings as compare_trainings
 from lsnet.evaluation.compare.chart import ChartPoint, draw_chart, pareto_front
-from lsnet.evaluation.compare.compare import VARIANTS, Comparison, Variant, compare_all, results_of
+from lsnet.evaluation.compare.compare import NETWORKS, SizedVariant, compare_networks
 from lsnet.evaluation.compare.data import Crops, draw_set
-from lsnet.evaluation.compare.table import table
+from lsnet.evaluation.compare.table import network_table
+from lsnet.evaluation.compare.trainings import Comparison, Trainings, Variant, results_of
+from lsnet.losses import MultiTaskLoss
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
+from lsnet.training.tasks import LSNetTask
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +35,8 @@ if TYPE_CHECKING:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compare_data, "DRAWN_PX", 96)
-    monkeypatch.setattr("lsnet.evaluation.compare.compare.VALIDATION_IMAGES", 2)
+    monkeypatch.setattr(compare_trainings, "DRAWN_PX", 96)
+    monkeypatch.setattr(compare_trainings, "VALIDATION_IMAGES", 2)
 
 
 @pytest.mark.usefixtures("small")
@@ -69,37 +75,88 @@ def test_crops_move_the_lines_with_the_image() -> None:
     np.testing.assert_array_equal(points, [[12, 20], [30, 41], [47, 31]])
 
 
-@pytest.mark.usefixtures("small")
-def test_variants_with_a_result_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def comparison(tmp_path: Path, small: None) -> Comparison:
+    return Comparison(tmp_path, (), (write_masks(tmp_path / "masked"),), images=4, steps=2, crop=64)
+
+
+def test_variants_with_a_result_are_not_run_again(
+    comparison: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("lsnet.evaluation.compare.compare.cpu_ms_of", lambda _network: {"torch": 1.5})
-    comparison = Comparison(tmp_path, (), (write_masks(tmp_path / "masked"),), images=4, steps=2, crop=64)
-    first, second = Variant("a", TINY), Variant("b", replace(TINY, stage_blocks=2))
+    first, second = SizedVariant("a", TINY), SizedVariant("b", replace(TINY, stage_blocks=2))
     found: list[tuple[str, int]] = []
-    rows = compare_all(comparison, (first,), workers=0)
-    again = compare_all(comparison, (first, second), workers=0, report=lambda *words: found.append(words))
+    rows = compare_networks(Trainings(comparison, workers=0), (first,))
+    trainings = Trainings(comparison, workers=0, report=lambda *words: found.append(words))
+    again = compare_networks(trainings, (first, second))
     assert again[0] == rows[0]
-    assert {name for name, step in found if step} == {"b"}
+    assert found == [
+        ("a", 2),
+        ("b, seed 0", 3),
+        ("b, seed 0", 4),
+        ("b", 4),
+    ]  # nothing is drawn or trained of a
     assert again[1].result.parameters > again[0].result.parameters
-    assert set(results_of(comparison)) == {"a", "b"}
-    assert 0 <= rows[0].result.ods["masked"] <= 1
-    assert results_of(replace(comparison, steps=3)) == {}
-    lines = table(again)
+    (ods,) = rows[0].result.scores.values()
+    assert 0 <= ods <= 1
+    lines = network_table(again)
     assert lines[0] == "|  | parameters | validation loss | ODS masked | ms, torch |"
     assert [line.count("|") for line in lines] == [6] * 4
     assert lines[2].startswith("| a | ")
     assert lines[2].endswith(" | 1.5 |")
-    with (tmp_path / "results.jsonl").open("a") as log:
+    with (comparison.folder / "results.jsonl").open("a") as log:
         log.write("{")
-    with pytest.raises(LSNetError, match=r"results\.jsonl: damaged; delete it"):
-        compare_all(comparison, (first,), workers=0)
+    with pytest.raises(LSNetError, match=r"results\.jsonl: damaged, or of an older version; delete it"):
+        compare_networks(Trainings(comparison, workers=0), (first,))
 
 
-def test_variant_names_are_unique_and_consistent() -> None:
-    by_name: dict[str, Variant] = {}
-    for candidates in VARIANTS.values():
-        assert len({c.name for c in candidates}) == len(candidates)
-        for candidate in candidates:
-            assert by_name.setdefault(candidate.name, candidate) == candidate
+def test_results_belong_to_their_data_network_loss_and_seed(comparison: Comparison) -> None:
+    """Each change gives a result of its own; what is as before gives the kept one."""
+    counts = iter(range(100))
+
+    def scored(comparison: Comparison, variant: Variant, kind: str = "count") -> object:
+        trainings = Trainings(comparison, workers=0)
+        return trainings.score(variant, kind, lambda _net: {"count": next(counts)}).scores["count"]
+
+    folder = comparison.folder
+    photos = folder / "photos"
+    photos.mkdir()
+    cv2.imwrite(str(photos / "a.png"), np.full((70, 70, 3), 50, np.uint8))
+    tiny = Variant("a", LSNetTask(TINY))
+    over_photos = replace(comparison, backgrounds=(str(photos),))
+    cases = [
+        (comparison, tiny),
+        (over_photos, tiny),
+        (comparison, replace(tiny, task=LSNetTask(replace(TINY, head_channels=4)))),
+        (comparison, replace(tiny, task=LSNetTask(TINY, MultiTaskLoss(gamma=1.0)))),
+        (comparison, replace(tiny, seed=1)),
+        (replace(comparison, steps=1), tiny),
+        (replace(comparison, images=3), tiny),
+        (replace(comparison, sets=(write_masks(folder / "other/masked"),)), tiny),
+    ]
+    # The other set has the same images and the same name: its result is the kept one.
+    assert [scored(*case) for case in cases] == [0, 1, 2, 3, 4, 5, 6, 0]
+    assert scored(comparison, replace(tiny, name="renamed")) == 0
+    assert scored(comparison, tiny, "another way of scoring") == 7
+    cv2.imwrite(str(photos / "a.png"), np.full((70, 70, 3), 51, np.uint8))
+    assert scored(over_photos, tiny) == 8
+    cv2.imwrite(str(folder / "masked/masks/a.png"), np.zeros((64, 80), np.uint8))
+    assert scored(comparison, tiny) == 9
+    assert len(results_of(folder)) == 10
+
+
+@pytest.mark.usefixtures("small")
+def test_sets_without_truth_and_large_crops_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "plain").mkdir()
+    cv2.imwrite(str(tmp_path / "plain/a.png"), np.zeros((70, 70, 3), np.uint8))
+    with pytest.raises(LSNetError, match="plain: has no pixel truth"):
+        Trainings(Comparison(tmp_path, (), (tmp_path / "plain",), images=1, crop=64), workers=0)
+    with pytest.raises(LSNetError, match="crops of 128 px do not fit the drawn images; give at most 96"):
+        Comparison(tmp_path, (), (), crop=128)
+
+
+def test_names_of_networks_are_unique() -> None:
+    assert len({network.name for network in NETWORKS}) == len(NETWORKS)
 
 
 @given(st.lists(st.tuples(st.integers(1, 9), st.integers(1, 9)), min_size=1))

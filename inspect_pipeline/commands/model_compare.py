@@ -1,0 +1,186 @@
+"""`lsnet-pipe model compare` and `ablate`: short trainings on the same drawn images."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inspect_pipeline.commands.options import BackgroundOption, JsonOption, RunOption, RuntimeOption
+from inspect_pipeline.commands.progress import progress_bar
+
+
+class What(StrEnum):
+    """Values of `model compare --what`."""
+
+    NETWORKS = "networks"
+    RIVALS = "rivals"
+
+
+class Ablation(StrEnum):
+    """Values of `model ablate --what`."""
+
+    DOWNSAMPLE = "downsample"
+    GRIDS = "grids"
+    REGRESSION = "regression"
+    CLASSIFICATION = "classification"
+
+
+class Device(StrEnum):
+    """Values of `--device`."""
+
+    AUTO = "auto"
+    CUDA = "cuda"
+    CPU = "cpu"
+
+
+FoldersArgument = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Evaluation sets with truth.")]
+ImagesOption = Annotated[int, typer.Option(min=1, metavar="N", help="Drawn images to train on.")]
+StepsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Batches to train each network on.")]
+BatchOption = Annotated[int, typer.Option(min=1, metavar="N", help="Images in a batch.")]
+CropOption = Annotated[int, typer.Option(min=64, metavar="PX", help="Side of the training images.")]
+SeedsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Trainings of each network.")]
+ThinnerOption = Annotated[
+    int, typer.Option(min=1, max=4, help="Divide the channels of the paper's networks by 1, 2 or 4.")
+]
+DeviceOption = Annotated[Device, typer.Option(help="Where to train. Default: a GPU if torch can use one.")]
+ThreadsOption = Annotated[int, typer.Option(min=1, help="Threads of the training process.")]
+WorkersOption = Annotated[int, typer.Option(min=0, help="Processes that draw images.")]
+
+
+def compare(
+    folders: FoldersArgument,
+    run: RunOption,
+    what: Annotated[
+        What, typer.Option(help="Networks of several sizes, or LS-Net beside its rivals in the paper.")
+    ] = What.NETWORKS,
+    background: BackgroundOption = None,
+    images: ImagesOption = 3700,
+    steps: StepsOption = 4000,
+    batch_size: BatchOption = 4,
+    crop: CropOption = 192,
+    seeds: SeedsOption = 1,
+    thinner: ThinnerOption = 4,
+    device: DeviceOption = Device.AUTO,
+    threads: ThreadsOption = 1,
+    workers: WorkersOption = 1,
+    chart: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a chart of ODS over time, .svg or .png (extra plot)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare networks, or LS-Net with its rivals, after a short training.
+
+    All are trained on the same drawn images. Results are kept in the folder of the run: one that was killed
+    continues when it is started again, and other data or options give other results. Networks are scored by
+    ODS and CPU time, rivals by the ARR, APR and F1 of the paper, whose figures stand beside.
+
+    \b
+    Examples:
+      lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
+      lsnet-pipe model compare photos/with_masks --run runs/rivals --what rivals --seeds 3 --device cuda
+    """
+    from lsnet.errors import LSNetError
+    from lsnet.evaluation.compare.compare import NETWORKS, compare_networks
+    from lsnet.evaluation.compare.rivals import compare_rivals, count_rivals
+    from lsnet.evaluation.compare.table import method_tables, network_table, write_chart
+    from lsnet.evaluation.compare.trainings import Comparison, Trainings
+
+    of_rivals = what == What.RIVALS
+    if of_rivals and chart:
+        raise LSNetError("the chart is of the sizes of networks; leave out --chart or --what rivals")
+    comparison = Comparison(
+        run,
+        tuple(background or ()),
+        tuple(folders),
+        images=images,
+        steps=steps,
+        batch_size=batch_size,
+        crop=crop,
+        device=device.value,
+        threads=threads,
+    )
+    count = count_rivals(seeds) if of_rivals else len(NETWORKS)
+    with progress_bar("compare", count * steps) as advance:
+        trainings = Trainings(comparison, workers=workers, report=advance)
+        if of_rivals:
+            methods = compare_rivals(trainings, thinner, seeds)
+            lines = [json.dumps(asdict(row)) for row in methods] if as_json else method_tables(methods)
+        else:
+            networks = compare_networks(trainings, NETWORKS)
+            lines = [json.dumps(asdict(row)) for row in networks] if as_json else network_table(networks)
+    if chart:
+        write_chart(networks, chart)
+    for line in lines:
+        typer.echo(line)
+
+
+def ablate(
+    folders: FoldersArgument,
+    run: Annotated[Path | None, typer.Option("--run", metavar="DIR", help="Folder of the trainings.")] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="Instead of training, score the grids of these weights."),
+    ] = None,
+    runtime: RuntimeOption = "auto",
+    what: Annotated[
+        list[Ablation] | None, typer.Option(help="Ablation; may be repeated. Default: all four.")
+    ] = None,
+    background: BackgroundOption = None,
+    images: ImagesOption = 3700,
+    steps: StepsOption = 4000,
+    batch_size: BatchOption = 8,
+    crop: CropOption = 256,
+    seeds: SeedsOption = 3,
+    thinner: ThinnerOption = 4,
+    device: DeviceOption = Device.AUTO,
+    threads: ThreadsOption = 1,
+    workers: WorkersOption = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Repeat the ablations of the paper: strides or pooling, grids, and the losses of endpoints and cells.
+
+    Prints APR, ARR and F1 by the paper's protocol for ablations (segments 1 px wide, threshold 0.5), with the
+    paper's own figures beside. Results are kept in the folder of the run, as by `model compare`.
+
+    \b
+    Examples:
+      lsnet-pipe model ablate photos/with_masks --weights fast
+      lsnet-pipe model ablate photos/with_masks --run runs/ablate --background photos:500 --seeds 3
+    """
+    from lsnet.errors import LSNetError
+    from lsnet.evaluation.compare import ablation
+    from lsnet.evaluation.compare.table import method_tables
+    from lsnet.evaluation.compare.trainings import Comparison, Trainings
+    from lsnet.evaluation.report import open_grids
+
+    if (run is None) == (weights is None):
+        raise LSNetError("give --run to train, or --weights to score the grids of trained weights")
+    names = [name.value for name in what or Ablation]
+    if weights is not None:
+        if what and names != ["grids"]:
+            raise LSNetError("only the ablation of the grids needs no training; give --run for the others")
+        rows = ablation.ablate_grids(open_grids(weights, runtime), folders)
+    else:
+        assert run is not None  # noqa: S101
+        comparison = Comparison(
+            run,
+            tuple(background or ()),
+            tuple(folders),
+            images=images,
+            steps=steps,
+            batch_size=batch_size,
+            crop=crop,
+            device=device.value,
+            threads=threads,
+        )
+        with progress_bar("ablate", ablation.count_trainings(seeds, names) * steps) as advance:
+            trainings = Trainings(comparison, workers=workers, report=advance)
+            rows = ablation.ablate(trainings, ablation.thin_paper(thinner), seeds, names)
+    for line in [json.dumps(asdict(row)) for row in rows] if as_json else method_tables(rows):
+        typer.echo(line)

@@ -1,0 +1,183 @@
+"""The four ablations of the paper (Section IV-B): strides or pooling, grids, regression loss, cells' loss.
+
+Scored as there: segments 1 px wide, threshold 0.5, per image. The published figures are on the set of Yetgin
+and Gerek; beside figures on other sets they show the order of the methods only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from lsnet.errors import LSNetError
+from lsnet.evaluation.compare.compare import detector_of
+from lsnet.evaluation.compare.trainings import Trainings, Variant
+from lsnet.evaluation.paper import ABLATED, PaperProtocol, evaluate_as_paper
+from lsnet.losses import MultiTaskLoss
+from lsnet.model import PRESETS, LSNetConfig
+from lsnet.training.options import with_options
+from lsnet.training.tasks import LSNetTask
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from torch import nn
+
+    from lsnet.evaluation.pixels import LineDetector
+
+ALL_GRIDS = "MHVC"
+
+
+class Published(NamedTuple):
+    """The paper's figures of one method."""
+
+    apr: float | None
+    arr: float | None
+    f1: float | None
+
+
+class Method(NamedTuple):
+    """One row of the paper's tables: how it differs from LS-Net, and its figures."""
+
+    name: str
+    published: Published
+    grids: str = ALL_GRIDS
+    network: str | None = None
+    loss: str | None = None
+
+
+_LSNET = Published(0.8004, 0.5368, 0.5940)
+ABLATIONS: dict[str, tuple[Method, ...]] = {
+    "downsample": (
+        Method("LS-Net-P", Published(0.7828, 0.5378, 0.5885), network="downsample=pool"),
+        Method("LS-Net-S", _LSNET),
+    ),
+    "grids": (
+        Method("LS-Net-1-M", Published(0.8312, 0.3791, 0.4847), "M"),
+        Method("LS-Net-2-MH", Published(0.8174, 0.4717, 0.5540), "MH"),
+        Method("LS-Net-2-MV", Published(0.8173, 0.4703, 0.5533), "MV"),
+        Method("LS-Net-2-MC", Published(0.8165, 0.4776, 0.5574), "MC"),
+        Method("LS-Net-3-MHC", Published(0.8080, 0.5121, 0.5792), "MHC"),
+        Method("LS-Net-3-MVC", Published(0.8080, 0.5117, 0.5791), "MVC"),
+        Method("LS-Net-3-MVH", Published(0.8064, 0.5165, 0.5826), "MVH"),
+        Method("LS-Net-4-MHVC", _LSNET),
+    ),
+    "regression": (
+        Method("LS-Net-2 (L2)", Published(0.7277, 0.5789, 0.5866), loss="regression=l2"),
+        Method("LS-Net-1 (L1)", Published(0.7032, 0.5694, 0.5765), loss="regression=l1"),
+        Method("LS-Net-S (Smooth L1)", Published(0.7317, 0.5495, 0.5728), loss="regression=smooth_l1"),
+        Method("LS-Net-W (Wing)", _LSNET),
+    ),
+    "classification": (
+        Method("LS-Net-CE", Published(0.7946, 0.5353, 0.5899), loss="classification=cross_entropy"),
+        Method("LS-Net-FL", _LSNET),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class AblationRow:
+    """One method on one set: APR, ARR and F1 of each seed, and the paper's."""
+
+    what: str
+    method: str
+    folder: str
+    values: list[list[float]]
+    published: Published
+
+    @classmethod
+    def heads(cls) -> list[str]:
+        """Return the heads of the columns of a table."""
+        return ["method", "set", "APR", "ARR", "F1", "paper: APR", "ARR", "F1"]
+
+    def cells(self) -> list[str]:
+        """Return the cells of a table: means and, of several seeds, standard deviations."""
+        measured = [_spread([seed[k] for seed in self.values]) for k in range(3)]
+        published = ["-" if value is None else f"{value:.4f}" for value in self.published]
+        return [self.method, self.folder.rpartition("/")[2], *measured, *published]
+
+
+def _spread(values: Sequence[float]) -> str:
+    mean = f"{fmean(values):.3f}"
+    return f"{mean} ± {stdev(values):.3f}" if len(values) > 1 else mean
+
+
+def thin_paper(thinner: int) -> LSNetConfig:
+    """Return the network of the paper with a fraction of its channels: 1, 2 or 4 times thinner."""
+    network = PRESETS["paper"]
+    channels = tuple(c // thinner for c in network.stage_channels)
+    return replace(network, stage_channels=channels, head_channels=network.head_channels // thinner)
+
+
+def ablate(
+    trainings: Trainings, network: LSNetConfig, seeds: int, what: Sequence[str] = tuple(ABLATIONS)
+) -> list[AblationRow]:
+    """Train the methods of some ablations with several seeds, where there is no result yet.
+
+    LS-Net itself is in all four and is trained once; that is also what is scored with some of its grids.
+
+    Raises:
+        LSNetError: As of `Trainings.score`.
+    """
+    rows = []
+    for name in what:
+        for method in ABLATIONS[name]:
+            found = [_score(trainings, network, method, seed) for seed in range(seeds)]
+            rows += [
+                AblationRow(name, method.name, folder, [scores[folder] for scores in found], method.published)
+                for folder in found[0]
+            ]
+    return rows
+
+
+def count_trainings(seeds: int, what: Sequence[str]) -> int:
+    """Return how often `ablate` asks for a trained network."""
+    return seeds * sum(len(ABLATIONS[name]) for name in what)
+
+
+def _score(trainings: Trainings, network: LSNetConfig, method: Method, seed: int) -> dict[str, list[float]]:
+    task = LSNetTask(
+        with_options(network, [method.network] if method.network else []),
+        with_options(MultiTaskLoss(), [method.loss] if method.loss else []),
+    )
+    sets = trainings.comparison.sets
+
+    def score(net: nn.Module) -> dict[str, Any]:
+        return ablated_scores(lambda grids: detector_of(net, grids), sets, method.grids)
+
+    return trainings.score(Variant(method.name, task, seed), f"ablation {method.grids}", score).scores
+
+
+def ablate_grids(
+    open_grids: Callable[[str], LineDetector],
+    sets: Sequence[Path],
+    on_image: Callable[[], None] = lambda: None,
+) -> list[AblationRow]:
+    """Return the ablation of the grids for weights that are trained; `open_grids` opens their detector.
+
+    Raises:
+        LSNetError: A folder has no images or no pixel truth.
+    """
+    rows = []
+    for method in ABLATIONS["grids"]:
+        scores = ablated_scores(open_grids, sets, method.grids, on_image)
+        rows += [AblationRow("grids", method.name, str(f), [scores[str(f)]], method.published) for f in sets]
+    return rows
+
+
+def ablated_scores(
+    open_grids: Callable[[str], LineDetector],
+    sets: Sequence[Path],
+    grids: str,
+    on_image: Callable[[], None] = lambda: None,
+) -> dict[str, list[float]]:
+    """Return APR, ARR and F1 by set, 1 px wide from score 0.5. Raises LSNetError for a set without truth."""
+    found = {}
+    for folder in sets:
+        scores = evaluate_as_paper(open_grids(grids), folder, PaperProtocol(ABLATED), on_image)
+        if not scores:
+            raise LSNetError(f"{folder}: has no pixel truth; give folders with masks or boundaries")
+        found[str(folder)] = [scores[0].apr, scores[0].arr, scores[0].f1]
+    return found

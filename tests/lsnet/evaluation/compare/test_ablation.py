@@ -1,0 +1,135 @@
+"""The tables of the paper: their methods, their figures, and a short run of each on tiny networks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from evaluation_sets import write_masks
+
+from lsnet.evaluation.baselines import learned
+from lsnet.evaluation.baselines.wd_dcnn import WDDCNNConfig
+from lsnet.evaluation.baselines.wsl_cnn import WSLCNNConfig
+from lsnet.evaluation.compare import data as compare_data
+from lsnet.evaluation.compare import rivals
+from lsnet.evaluation.compare import trainings as compare_trainings
+from lsnet.evaluation.compare.ablation import (
+    ABLATIONS,
+    AblationRow,
+    Published,
+    ablate,
+    ablate_grids,
+    count_trainings,
+    thin_paper,
+)
+from lsnet.evaluation.compare.table import method_tables
+from lsnet.evaluation.compare.trainings import Comparison, Trainings
+from lsnet.model import PRESETS, LSNetConfig
+from lsnet.segments import Detections, Lines, Segments
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+THIN = LSNetConfig(stage_channels=(2, 2, 2, 2), head_channels=2, norm="batch")
+
+
+@pytest.fixture
+def trainings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Trainings:
+    for module in (compare_data, compare_trainings):
+        monkeypatch.setattr(module, "DRAWN_PX", 128)
+    monkeypatch.setattr(compare_trainings, "VALIDATION_IMAGES", 1)
+    sets = (write_masks(tmp_path / "masked"),)
+    comparison = Comparison(tmp_path, (), sets, images=2, steps=1, batch_size=1, crop=128, device="cpu")
+    return Trainings(comparison, workers=0)
+
+
+def test_figures_of_the_paper_agree_between_its_tables() -> None:
+    """LS-Net itself is the last row of each, the best F1 of all; APR falls and ARR rises with the grids."""
+    for methods in ABLATIONS.values():
+        own = methods[-1]
+        assert (own.published.f1, own.network, own.loss, own.grids) == (0.5940, None, None, "MHVC")
+        assert own.published.f1 == max(method.published.f1 for method in methods)
+    counts = [len(method.grids) for method in ABLATIONS["grids"]]
+    assert counts == sorted(counts)
+    one, *_, four = ABLATIONS["grids"]
+    assert one.published.apr > four.published.apr
+    assert one.published.arr < four.published.arr
+
+
+def test_thin_networks_keep_the_table_of_the_paper() -> None:
+    assert thin_paper(1) == PRESETS["paper"]
+    assert thin_paper(4).stage_channels == (16, 32, 64, 128)
+    assert replace(thin_paper(4), stage_channels=(64, 128, 256, 512), head_channels=512) == PRESETS["paper"]
+
+
+def test_every_method_of_the_ablations_is_trained_and_scored(trainings: Trainings) -> None:
+    rows = ablate(trainings, THIN, seeds=1)
+    assert len(rows) == sum(len(methods) for methods in ABLATIONS.values())
+    assert all(np.shape(row.values) == (1, 3) for row in rows)
+    trained = list((trainings.comparison.folder / "runs").iterdir())
+    assert len(trained) == 1 + 1 + 3 + 1  # LS-Net, pooling, three regression losses, cross-entropy
+    assert count_trainings(2, list(ABLATIONS)) == 2 * len(rows)
+    lines = method_tables(rows)
+    assert lines.count("") == 3
+    assert lines[0] == "| downsample | set | APR | ARR | F1 | paper: APR | ARR | F1 |"
+    assert lines[3].startswith("| LS-Net-S | masked | ")
+    assert lines[3].endswith(" | 0.8004 | 0.5368 | 0.5940 |")
+    assert ablate(trainings, THIN, 1, ["grids"]) == [row for row in rows if row.what == "grids"]
+
+
+def test_several_seeds_have_a_mean_and_a_deviation() -> None:
+    values = [[0.5, 0.25, 0.25], [0.7, 0.25, 0.35]]
+    row = AblationRow("regression", "L2", "sets/m", values, Published(0.1, None, 0.2))
+    assert row.cells() == [
+        *("L2", "m", "0.600 ± 0.141", "0.250 ± 0.000", "0.300 ± 0.071"),
+        *("0.1000", "-", "0.2000"),
+    ]
+
+
+class ByGrid:
+    """Finds the cable if the central grid is used, else nothing."""
+
+    def __init__(self, grids: str) -> None:
+        self._grids = grids
+
+    def detect(self, images: list[np.ndarray]) -> list[Detections]:
+        ends = np.array([[0, 31.5, 79.9, 31.5]], np.float32)[: "C" in self._grids]
+        size = images[0].shape[:2]
+        return [Detections(Segments(ends, np.ones(len(ends), np.float32), size), Lines.empty(size))]
+
+
+def test_the_grids_of_weights_are_scored_without_training(tmp_path: Path) -> None:
+    rows = ablate_grids(ByGrid, [write_masks(tmp_path / "masked")])
+    assert {row.method: row.values[0] for row in rows} == {
+        method.name: pytest.approx([1, 0.25, 0.4] if "C" in method.grids else [0, 0, 0])
+        for method in ABLATIONS["grids"]
+    }
+    assert method_tables(rows)[2] == (
+        "| LS-Net-1-M | masked | 0.000 | 0.000 | 0.000 | 0.8312 | 0.3791 | 0.4847 |"
+    )
+
+
+def test_every_rival_is_trained_and_scored(trainings: Trainings, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny = {
+        name: replace(config, channels=(2,) * 5)
+        if isinstance(config, WSLCNNConfig)
+        else replace(config, channels=2, dilations=(1, 2))
+        for name, config in learned.RIVALS.items()
+    }
+    monkeypatch.setattr(rivals, "RIVALS", tiny)
+    monkeypatch.setattr(rivals, "thinned", lambda config, _thinner: config)
+    monkeypatch.setattr(rivals, "thin_paper", lambda _thinner: THIN)
+    rows = rivals.compare_rivals(trainings, 4, seeds=1)
+    assert [row.method for row in rows] == [*rivals.PUBLISHED, *rivals.UNTRAINED]
+    by_name = {row.method: row for row in rows}
+    assert by_name["LS-Net-W2"].published.f1 == 0.5344
+    assert by_name["LSD, 2 px"].values[0][1] > 0  # of its edges some are in the band
+    assert all(0 <= value <= 1 for row in rows for value in row.values[0])
+    assert method_tables(rows)[2].endswith("| - | 0.6256 | - |")
+
+
+def test_rivals_are_thinned_like_the_network() -> None:
+    assert rivals.thinned(WDDCNNConfig(focal=True), 4) == WDDCNNConfig(channels=8, focal=True)
+    assert rivals.thinned(WSLCNNConfig(), 2).channels == (32, 64, 128, 256, 256)

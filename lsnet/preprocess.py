@@ -49,7 +49,7 @@ def prepare(image: ImageArray, scale: float) -> PreparedImage:
         image = np.asarray(cv2.resize(image, (width, height), interpolation=how), np.uint8)
     below = max(MIN_SIDE_PX - height, -height % STRIDE_PX)
     right = max(MIN_SIDE_PX - width, -width % STRIDE_PX)
-    pixels = np.pad(image, ((0, below), (0, right), (0, 0)), mode="edge")
+    pixels = np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), np.uint8)
     return PreparedImage(pixels, scale, (height, width), source_size)
 
 

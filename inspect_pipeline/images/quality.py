@@ -23,18 +23,18 @@ class ImageQuality:
 
 
 def measure_quality(image: ImageArray) -> ImageQuality:
-    """Measure a uint8 (height, width, 3) RGB image, shrunk to a longer side of 1024 px if it is larger."""
-    luma = cv2.cvtColor(_shrink(image), cv2.COLOR_RGB2GRAY)
-    laplacian = cv2.Laplacian(luma, cv2.CV_32F)
-    return ImageQuality(sharpness=float(laplacian.var()), mean_luma=float(luma.mean()))
+    """Measure a uint8 (height, width, 3) RGB image, shrunk by a whole factor to at most 1024 px a side."""
+    luma = _shrink(np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8))
+    laplacian = cv2.Laplacian(luma, cv2.CV_16S)
+    return ImageQuality(float(cv2.meanStdDev(laplacian)[1].item() ** 2), float(cv2.mean(luma)[0]))
 
 
-def _shrink(image: ImageArray) -> ImageArray:
-    height, width = image.shape[:2]
-    scale = _MAX_SIDE_PX / max(height, width)
-    if scale >= 1:
-        return image
-    # Keep one row or column of images that have only a few, such as those of line cameras.
-    fx, fy = max(scale, 1 / width), max(scale, 1 / height)
-    small = cv2.resize(image, None, fx=fx, fy=fy, interpolation=cv2.INTER_AREA)
-    return small.astype(np.uint8, copy=False)
+def _shrink(luma: ImageArray) -> ImageArray:
+    """Return (height, width) means of square blocks; the blocks of images with few rows are less high."""
+    factor = -(-max(luma.shape) // _MAX_SIDE_PX)
+    if factor == 1:
+        return luma
+    tall, wide = (min(factor, side) for side in luma.shape)
+    height, width = luma.shape[0] // tall, luma.shape[1] // wide
+    blocks = luma[: height * tall, : width * wide]
+    return np.asarray(cv2.resize(blocks, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from lsnet.detector import Detector
     from lsnet.errors import LSNetError
     from lsnet.segments import Detections, Lines, Segments
-    from lsnet.weights import WeightsCard, list_weights, load_weights, save_weights
+    from lsnet.weights import load_weights, save_weights
+    from lsnet.weights_file import WeightsCard, list_weights
 
 __all__ = [
     "Detections",
@@ -34,6 +35,7 @@ __all__ = [
 _MODULES = {"Detector": "detector", "LSNetError": "errors"} | dict.fromkeys(
     ("Detections", "Lines", "Segments"), "segments"
 )
+_MODULES |= dict.fromkeys(("WeightsCard", "list_weights"), "weights_file")
 
 
 def __getattr__(name: str) -> object:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-
-from safetensors import SafetensorError, safe_open
+from typing import TYPE_CHECKING
 
 from lsnet.errors import LSNetError
-from lsnet.pretrained import path_of, read_checksums
-from lsnet.runtime_choice import choose_backend
+from lsnet.runtime.choice import choose_backend, may_have_gpu
+from lsnet.weights_file import read_weights
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def describe_detector(
     weights: str | Path = "fast",
     *,
     runtime: str = "auto",
+    device: str | None = None,
     scale: float | None = None,
     min_score: float | None = None,
 ) -> dict[str, str | int | float] | None:
@@ -26,33 +25,20 @@ def describe_detector(
     It must be where torch could use a GPU, and for weights or runtimes that cannot be used: loading reports
     the reason.
     """
-    if runtime in ("auto", "torch") and _may_have_gpu():
+    if device not in (None, "cpu") or (device is None and may_have_gpu()):
         return None
-    path = path_of(str(weights)) if str(weights) in read_checksums() else Path(weights)
     try:
-        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-        with safe_open(path, framework="np") as header:
-            card = json.loads(header.metadata()["lsnet"])
+        file = read_weights(weights)
         backend, precision = choose_backend(runtime, has_gpu=False)
-        own = card.get("scale") if scale is None else scale
-        return {
-            "weights": str(card["name"]),
-            "weights_sha256": sha256,
-            "preset": str(card["preset"]),
-            "backend": backend,
-            "precision": precision,
-            "scale": "auto" if own is None else own,
-            "min_score": float(card["min_score"]) if min_score is None else min_score,
-        }
-    except (LSNetError, SafetensorError, OSError, ValueError, LookupError, TypeError, RecursionError):
+    except LSNetError:
         return None
-
-
-def _may_have_gpu() -> bool:
-    """Whether torch is not the build for CPUs, and the machine has a device for it."""
-    try:
-        is_cpu_build = version("torch").endswith("+cpu")
-    except PackageNotFoundError:
-        return False
-    devices = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # NVIDIA, AMD, and either in WSL
-    return not is_cpu_build and any(Path(device).exists() for device in devices)
+    own = file.card.scale if scale is None else scale
+    return {
+        "weights": file.card.name,
+        "weights_sha256": file.sha256,
+        "preset": file.card.preset,
+        "backend": backend,
+        "precision": precision,
+        "scale": "auto" if own is None else own,
+        "min_score": file.card.min_score if min_score is None else min_score,
+    }

@@ -15,9 +15,9 @@ from lsnet.errors import LSNetError
 from lsnet.images import open_rgb
 from lsnet.postprocess import Postprocessor
 from lsnet.preprocess import MAX_SCALE, automatic_scale, prepare
-from lsnet.runtime import open_backend
+from lsnet.runtime.backend import open_backend
 from lsnet.tiles import join, tiles_of
-from lsnet.weights import load_weights
+from lsnet.weights_file import read_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from lsnet.arrays import ImageArray, Maps
     from lsnet.images import ColorOrder, ImageInput
     from lsnet.preprocess import PreparedImage
-    from lsnet.runtime import Backend
+    from lsnet.runtime.backend import Backend
     from lsnet.segments import Detections
     from lsnet.weights import Weights
+    from lsnet.weights_file import WeightsFile
 
 
 class Detector:
@@ -38,8 +39,10 @@ class Detector:
         min_score: Lowest score of a segment or line that is reported.
     """
 
-    def __init__(self, weights: Weights, backend: Backend, scale: float | None, min_score: float) -> None:
-        self._weights, self._backend = weights, backend
+    def __init__(
+        self, weights: Weights | WeightsFile, backend: Backend, scale: float | None, min_score: float
+    ) -> None:
+        self._card, self._sha256, self._backend = weights.card, weights.sha256, backend
         self._postprocess = Postprocessor(min_score)
         self.scale, self.min_score = scale, min_score
 
@@ -49,6 +52,8 @@ class Detector:
         weights: str | Path = "fast",
         *,
         runtime: str = "auto",
+        device: str | None = None,
+        threads: int | None = None,
         scale: float | None = None,
         min_score: float | None = None,
     ) -> Detector:
@@ -56,7 +61,9 @@ class Detector:
 
         Args:
             weights: Name of shipped weights (see `list_weights`), or a .safetensors file.
-            runtime: auto, torch, openvino, openvino-bf16 or openvino-int8.
+            runtime: auto, torch, torch-bf16, torch-f16, openvino, openvino-bf16 or openvino-int8.
+            device: Of torch: cpu, cuda or cuda:N. Default: the first GPU, if there is one.
+            threads: Of the CPU. Default: one per core.
             scale: Factor by which images are resized before detection. Default: that of the weights; if
                 they have none, images of less than half the training size are enlarged by a whole number.
             min_score: Lowest score of a segment or line to report. Default: that of the weights.
@@ -64,21 +71,21 @@ class Detector:
         Raises:
             LSNetError: The weights or the runtime cannot be used, or a number is out of range.
         """
-        loaded = load_weights(weights)
-        scale = loaded.card.scale if scale is None else scale
-        min_score = loaded.card.min_score if min_score is None else min_score
+        file = read_weights(weights)
+        scale = file.card.scale if scale is None else scale
+        min_score = file.card.min_score if min_score is None else min_score
         if scale is not None and not 0.05 <= scale <= MAX_SCALE:
             raise LSNetError(f"scale {scale:g} is out of range; give a factor from 0.05 to {MAX_SCALE:g}")
         if not 0 <= min_score <= 1:
             raise LSNetError(f"minimum score {min_score:g} is out of range; give a number from 0 to 1")
-        return cls(loaded, open_backend(loaded.net, runtime), scale, min_score)
+        return cls(file, open_backend(file, runtime, device, threads), scale, min_score)
 
     def describe(self) -> dict[str, str | int | float]:
         """Return what determines the results: weights, backend, precision, scale and threshold."""
         return {
-            "weights": self._weights.card.name,
-            "weights_sha256": self._weights.sha256,
-            "preset": self._weights.card.preset,
+            "weights": self._card.name,
+            "weights_sha256": self._sha256,
+            "preset": self._card.preset,
             "backend": self._backend.name,
             "precision": self._backend.precision,
             "scale": "auto" if self.scale is None else self.scale,
@@ -116,7 +123,7 @@ class Detector:
 
     def _run(self, prepared: Sequence[PreparedImage]) -> list[Maps]:
         """Raw maps of each image; very large images are run in tiles."""
-        max_pixels = self._weights.net.config.pixels_at_once
+        max_pixels = self._card.network.pixels_at_once
         tiles = [tiles_of(*image.padded_size, max_pixels) for image in prepared]
         windows = [
             image.pixels[tile.window] for image, cut in zip(prepared, tiles, strict=True) for tile in cut

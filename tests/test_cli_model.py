@@ -15,7 +15,7 @@ from nets import TINY, save_tiny
 from typer.testing import CliRunner
 
 import cli
-from lsnet import LSNetError, load_weights, model
+from lsnet import LSNetError, load_weights, network_config
 from lsnet.evaluation.compare import compare, trainings
 from lsnet.training import checkpoints, recipe
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     threads = torch.get_num_threads()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(model.PRESETS, "tiny", TINY)
+    monkeypatch.setitem(network_config.PRESETS, "tiny", TINY)
     save_tiny(tmp_path / "w.safetensors", min_score=0.4)
     yield
     torch.set_num_threads(threads)

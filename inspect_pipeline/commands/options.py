@@ -106,7 +106,8 @@ MinScoreOption = Annotated[
 RuntimeOption = Annotated[
     str,
     typer.Option(
-        metavar="NAME", help="Inference runtime: auto, torch, openvino, openvino-bf16 or openvino-int8."
+        metavar="NAME",
+        help="Inference runtime: auto, torch[-bf16|-f16] or openvino[-bf16|-int8].",
     ),
 ]
 TopicOption = Annotated[

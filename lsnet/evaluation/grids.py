@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lsnet.arrays import Floats32, ImageArray, Maps
-    from lsnet.runtime import Backend
+    from lsnet.runtime.backend import Backend
 
 GRIDS = {"M": (0, 0), "H": (0, 1), "V": (1, 0), "C": (1, 1)}  # first row and column in the interleaved map
 
@@ -33,6 +33,7 @@ class OnlyGrids:
             raise LSNetError(f"no grids {grids!r}; give some of the letters {''.join(GRIDS)}")
         self._backend, self._grids = backend, grids
         self.name, self.precision, self.threads = backend.name, backend.precision, backend.threads
+        self.n_calls, self.n_images = backend.n_calls, backend.n_images
 
     def run(self, images: Sequence[ImageArray]) -> list[Maps]:
         """Return the raw maps of each image, in order, with scores of zero in the cells of other grids."""

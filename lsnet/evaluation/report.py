@@ -18,11 +18,11 @@ from lsnet.evaluation.grids import OnlyGrids
 from lsnet.evaluation.paper import PaperProtocol, evaluate_as_paper, evaluate_pixels_as_paper
 from lsnet.evaluation.pixels import evaluate
 from lsnet.evaluation.rasterize import SIGMA_PX
-from lsnet.runtime import open_backend
+from lsnet.runtime.backend import open_backend
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
 from lsnet.training.sources import VALIDATION_SEED
-from lsnet.weights import load_weights
+from lsnet.weights_file import read_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -103,7 +103,7 @@ def open_line_detector(
         if not (Path(rival) / "best.pt").is_file():
             raise LSNetError(f"no rival {rival!r}; give lsd, hough, M-LSD's .tflite file, or a rival's run")
         return LearnedRival.load(Path(rival)), 0.5
-    return open_grids(weights, runtime)(grids or "MHVC"), load_weights(weights).card.min_score
+    return open_grids(weights, runtime)(grids or "MHVC"), read_weights(weights).card.min_score
 
 
 def open_grids(weights: str, runtime: str) -> Callable[[str], Detector]:
@@ -112,9 +112,9 @@ def open_grids(weights: str, runtime: str) -> Callable[[str], Detector]:
     Raises:
         LSNetError: The weights or the runtime cannot be used.
     """
-    loaded = load_weights(weights)
-    backend = open_backend(loaded.net, runtime)
-    return lambda grids: Detector(loaded, OnlyGrids(backend, grids), loaded.card.scale, min_score=0.05)
+    file = read_weights(weights)
+    backend = open_backend(file, runtime)
+    return lambda grids: Detector(file, OnlyGrids(backend, grids), file.card.scale, min_score=0.05)
 
 
 def evaluate_all(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lsnet.arrays import ImageArray
-    from lsnet.runtime import Backend
+    from lsnet.runtime.backend import Backend
 
 COUNT = 16  # different images, more than the caches of a CPU hold
 BATCH = 8

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from lsnet.errors import LSNetError
-from lsnet.model import LSNet, LSNetConfig
+from lsnet.model import LSNet
+from lsnet.network_config import LSNetConfig
 from lsnet.training.pruning import slim
 from lsnet.training.recipe import HOW_COMPUTED, TrainConfig
 from lsnet.training.tasks import LSNetTask

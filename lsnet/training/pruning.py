@@ -18,7 +18,7 @@ from lsnet.model import ConvNormAct, LSNet
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from lsnet.model import LSNetConfig
+    from lsnet.network_config import LSNetConfig
 
 
 def slim(wide: LSNet, config: LSNetConfig) -> LSNet:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from lsnet.errors import LSNetError
-from lsnet.model import LSNet, LSNetConfig
+from lsnet.model import LSNet
+from lsnet.network_config import LSNetConfig
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
 from lsnet.synth.paper import PaperScenes
@@ -15,7 +16,8 @@ from lsnet.synth.pbr.scenes import RenderedScenes, rendered_pictures
 from lsnet.tiles import STRIDE_PX
 from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint
 from lsnet.training.labels import LabelledScenes, load_labels
-from lsnet.weights import WeightsCard, save_weights
+from lsnet.weights import save_weights
+from lsnet.weights_file import WeightsCard
 
 if TYPE_CHECKING:
     from pathlib import Path

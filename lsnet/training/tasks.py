@@ -10,7 +10,8 @@ import torch
 from lsnet.errors import LSNetError
 from lsnet.grid import OFF_CENTRE_PENALTY, GridCoder
 from lsnet.losses import MultiTaskLoss
-from lsnet.model import PRESETS, LSNet, LSNetConfig
+from lsnet.model import LSNet
+from lsnet.network_config import PRESETS, LSNetConfig
 from lsnet.training.options import with_options
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ import torch
 from lsnet.errors import LSNetError
 from lsnet.files import make_folder
 from lsnet.losses import LossParts, LossSums
-from lsnet.model import PRESETS
+from lsnet.network_config import PRESETS
 from lsnet.training.batches import load_batches
 from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint, other_options, read_start, save_checkpoint
 from lsnet.training.devices import autocast, choose_device

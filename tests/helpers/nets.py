@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from lsnet.model import LSNet, LSNetConfig
-from lsnet.runtime_choice import import_openvino
-from lsnet.weights import WeightsCard, save_weights
+from lsnet.model import LSNet
+from lsnet.network_config import LSNetConfig
+from lsnet.runtime.choice import import_openvino
+from lsnet.weights import save_weights
+from lsnet.weights_file import WeightsCard
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,8 +13,10 @@ from nets import TINY, openvino_or_skip, photo, save_tiny, tiny_net
 
 from lsnet import Detector, LSNetError
 from lsnet.files import write_png
-from lsnet.runtime import OpenVinoBackend, TorchBackend
-from lsnet.weights import Weights, WeightsCard
+from lsnet.runtime.openvino import OpenVinoBackend
+from lsnet.runtime.torch import TorchBackend
+from lsnet.weights import Weights
+from lsnet.weights_file import WeightsCard
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,13 +25,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lsnet.arrays import Maps
-    from lsnet.runtime import Backend
+    from lsnet.runtime.backend import Backend
 
 
 @pytest.fixture(scope="module")
 def openvino_backend() -> Backend:
     openvino_or_skip()
-    return OpenVinoBackend(tiny_net())
+    return OpenVinoBackend.convert(tiny_net())
 
 
 @dataclass
@@ -40,7 +42,7 @@ class DarkColumns:
     """
 
     takes_cut: bool = False
-    name, precision, threads = "fake", "f32", 1
+    name, precision, threads, n_calls, n_images = "fake", "f32", 1, 1, 1
 
     def run(self, images: Sequence[NDArray[np.uint8]]) -> list[Maps]:
         return [self._run_one(image) for image in images]

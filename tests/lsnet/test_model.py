@@ -9,8 +9,9 @@ import torch
 from nets import TINY, tiny_net
 from torch import nn
 
-from lsnet.model import PRESETS, EndPadded, LSNet, LSNetConfig
-from lsnet.runtime import fold_norms
+from lsnet.model import EndPadded, LSNet
+from lsnet.network_config import PRESETS, LSNetConfig
+from lsnet.runtime.torch import fold_norms
 
 # Table I of the paper: kernel, channels, stride.
 EXTRACTOR_ROWS = [

@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from nets import TINY, photo, tiny_net
 
-from lsnet.model import PRESETS, LSNetConfig
-from lsnet.runtime import InferenceModule
+from lsnet.network_config import PRESETS, LSNetConfig
+from lsnet.runtime.torch import InferenceModule
 from lsnet.tiles import join, tiles_of
 
 FAST_PIXELS = PRESETS["fast"].pixels_at_once

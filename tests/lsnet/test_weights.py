@@ -19,9 +19,10 @@ from nets import TINY, save_tiny, tiny_net
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from lsnet import Detector, weights
+from lsnet import Detector, weights_file
 from lsnet.errors import LSNetError
-from lsnet.weights import WeightsCard, list_weights, load_weights, save_weights
+from lsnet.weights import load_weights, save_weights
+from lsnet.weights_file import WeightsCard, list_weights
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -212,7 +213,7 @@ def test_shipped_weights_are_what_was_recorded() -> None:
 
 
 def test_shipped_weights_that_changed_are_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(weights, "read_checksums", lambda: {"tiny": "0" * 64})
-    monkeypatch.setattr(weights, "path_of", lambda _name: saved)
+    monkeypatch.setattr(weights_file, "read_checksums", lambda: {"tiny": "0" * 64})
+    monkeypatch.setattr(weights_file, "path_of", lambda _name: saved)
     with pytest.raises(LSNetError, match="damaged"):
         load_weights("tiny")

@@ -10,7 +10,7 @@ import torch
 from lsnet.errors import LSNetError
 from lsnet.evaluation.baselines.wd_dcnn import WDDCNNConfig, WDDCNNTask
 from lsnet.evaluation.baselines.wsl_cnn import WSLCNNConfig, WSLCNNTask
-from lsnet.model import PRESETS
+from lsnet.network_config import PRESETS
 from lsnet.training.checkpoints import load_checkpoint
 from lsnet.training.devices import choose_device
 from lsnet.training.options import with_options

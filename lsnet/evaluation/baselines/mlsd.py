@@ -13,7 +13,7 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.evaluation.baselines.lengths import by_length
-from lsnet.runtime_choice import openvino_core
+from lsnet.runtime.choice import openvino_core
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

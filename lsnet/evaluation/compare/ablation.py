@@ -15,7 +15,7 @@ from lsnet.evaluation.compare.compare import detector_of
 from lsnet.evaluation.compare.trainings import Trainings, Variant
 from lsnet.evaluation.paper import ABLATED, PaperProtocol, evaluate_as_paper
 from lsnet.losses import MultiTaskLoss
-from lsnet.model import PRESETS, LSNetConfig
+from lsnet.network_config import PRESETS, LSNetConfig
 from lsnet.training.options import with_options
 from lsnet.training.tasks import LSNetTask
 

@@ -15,10 +15,13 @@ from lsnet.evaluation.compare.trainings import Result, Trainings, Variant
 from lsnet.evaluation.grids import OnlyGrids
 from lsnet.evaluation.pixels import PixelReport, evaluate
 from lsnet.evaluation.speed import least_cpu_ms
-from lsnet.model import PRESETS, LSNet, LSNetConfig
-from lsnet.runtime import OpenVinoBackend, TorchBackend
+from lsnet.model import LSNet
+from lsnet.network_config import PRESETS, LSNetConfig
+from lsnet.runtime.openvino import OpenVinoBackend
+from lsnet.runtime.torch import TorchBackend
 from lsnet.training.tasks import LSNetTask
-from lsnet.weights import Weights, WeightsCard
+from lsnet.weights import Weights
+from lsnet.weights_file import WeightsCard
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
 
     from torch import nn
 
-    from lsnet.runtime import Backend
+    from lsnet.runtime.backend import Backend
 
 FAST = PRESETS["fast"]
 
@@ -79,7 +82,7 @@ def cpu_ms_of(network: LSNetConfig) -> dict[str, float]:
     backends: dict[str, Backend] = {"torch": TorchBackend(net)}
     if find_spec("openvino") is not None:
         precisions = ["f32", "bf16", *(["int8"] if find_spec("nncf") is not None else [])]
-        backends |= {f"openvino {p}": OpenVinoBackend(net, p, threads=1) for p in precisions}
+        backends |= {f"openvino {p}": OpenVinoBackend.convert(net, p, threads=1) for p in precisions}
     return {name: least_cpu_ms(backend) for name, backend in backends.items()}
 
 

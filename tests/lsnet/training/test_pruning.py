@@ -7,7 +7,8 @@ import torch
 from nets import TINY, save_tiny, tiny_net
 
 from lsnet import LSNetError
-from lsnet.model import PRESETS, ConvNormAct, LSNet, LSNetConfig, Residual
+from lsnet.model import ConvNormAct, LSNet, Residual
+from lsnet.network_config import PRESETS, LSNetConfig
 from lsnet.training.pruning import slim
 from lsnet.training.trainer import TrainConfig, Trainer
 

@@ -13,9 +13,9 @@ import pytest
 import torch
 from nets import TINY
 
-from lsnet import model
+from lsnet import network_config
 from lsnet.errors import LSNetError
-from lsnet.model import LSNetConfig
+from lsnet.network_config import LSNetConfig
 from lsnet.synth.dataset import Sample
 from lsnet.training.batches import load_batches
 from lsnet.training.checkpoints import load_checkpoint, save_checkpoint
@@ -63,8 +63,8 @@ class Strokes:
 
 @pytest.fixture(autouse=True)
 def _tiny_preset(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(model.PRESETS, "tiny", TINY)
-    monkeypatch.setitem(model.PRESETS, "thin", THIN)
+    monkeypatch.setitem(network_config.PRESETS, "tiny", TINY)
+    monkeypatch.setitem(network_config.PRESETS, "thin", THIN)
 
 
 @pytest.fixture(autouse=True)
@@ -174,7 +174,7 @@ def test_another_recipe_is_refused(tmp_path: Path, change: dict[str, object]) ->
 def test_run_continues_after_its_preset_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It can be exported, and cannot be continued with another network by mistake."""
     Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)
-    monkeypatch.setitem(model.PRESETS, QUICK.preset, replace(TINY, head_channels=16))
+    monkeypatch.setitem(network_config.PRESETS, QUICK.preset, replace(TINY, head_channels=16))
     export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
     assert load_weights(tmp_path / "x.safetensors").card.network == TINY
     with pytest.raises(LSNetError, match="other network; give another run folder"):

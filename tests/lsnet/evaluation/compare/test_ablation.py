@@ -26,7 +26,7 @@ from lsnet.evaluation.compare.ablation import (
 )
 from lsnet.evaluation.compare.table import method_tables
 from lsnet.evaluation.compare.trainings import Comparison, Trainings
-from lsnet.model import PRESETS, LSNetConfig
+from lsnet.network_config import PRESETS, LSNetConfig
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ import ctypes
 import gc
 import importlib
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,11 +14,14 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from nets import openvino_or_skip, photo, tiny_net
+from nets import openvino_or_skip, photo, save_tiny, tiny_net
 
 from lsnet import LSNetError, load_weights
-from lsnet.model import PRESETS
-from lsnet.runtime import OpenVinoBackend, TorchBackend, open_backend
+from lsnet.network_config import PRESETS
+from lsnet.runtime.backend import open_backend
+from lsnet.runtime.openvino import OpenVinoBackend
+from lsnet.runtime.torch import TorchBackend
+from lsnet.weights_file import read_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +30,8 @@ if TYPE_CHECKING:
 
     from lsnet.arrays import Maps
     from lsnet.model import LSNet
-    from lsnet.runtime import Backend
+    from lsnet.runtime.backend import Backend
+    from lsnet.weights_file import WeightsFile
 
 TOLERANCE = 1e-4  # of scores and of cell fractions, against torch in fp32
 
@@ -46,9 +51,14 @@ def assert_close(found: Sequence[Maps], expected: Sequence[Maps], tolerance: flo
 
 
 @pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> WeightsFile:
+    return read_weights(save_tiny(tmp_path_factory.mktemp("weights") / "tiny.safetensors"))
+
+
+@pytest.fixture(scope="module")
 def openvino_backend() -> Backend:
     openvino_or_skip()
-    return OpenVinoBackend(tiny_net())
+    return OpenVinoBackend.convert(tiny_net())
 
 
 @pytest.fixture(params=["torch", "openvino"])
@@ -71,6 +81,21 @@ def test_batch_equals_single_images(backend: Backend) -> None:
     assert backend.run([]) == []
 
 
+def test_threads_may_share_a_backend(backend: Backend) -> None:
+    images = [photo(32 + 16 * (i % 3), 64) for i in range(24)]
+    with ThreadPoolExecutor(6) as pool:
+        found = list(pool.map(lambda i: backend.run(images[i : i + 4]), range(0, 24, 4)))
+    assert_close([maps for part in found for maps in part], [backend.run([i])[0] for i in images], 1e-6)
+
+
+def test_devices_by_name(tiny: WeightsFile) -> None:
+    assert open_backend(tiny, "torch", "cpu").name == "torch"
+    with pytest.raises(LSNetError, match="no device 'tpu'; give cpu, cuda or cuda:N"):
+        open_backend(tiny, "torch", "tpu")
+    with pytest.raises(LSNetError, match="torch finds no GPU cuda:77; use the device cpu"):
+        open_backend(tiny, "torch", "cuda:77")
+
+
 def test_non_contiguous_windows_are_accepted(backend: Backend) -> None:
     frame = photo(96, 96)
     window = frame[16:80, 32:96]
@@ -83,7 +108,9 @@ def test_non_contiguous_windows_are_accepted(backend: Backend) -> None:
 def test_openvino_agrees_with_torch_on_whole_presets(preset: str) -> None:
     openvino_or_skip()
     net, images = tiny_net(config=PRESETS[preset]), [photo(256, 320), photo(512, 512)]
-    assert_close(OpenVinoBackend(net).run(images), [plain_torch(net, i) for i in images], tolerance=1e-3)
+    assert_close(
+        OpenVinoBackend.convert(net).run(images), [plain_torch(net, i) for i in images], tolerance=1e-3
+    )
 
 
 @pytest.mark.slow
@@ -91,11 +118,11 @@ def test_quantized_network_agrees_with_float(capfd: pytest.CaptureFixture[str]) 
     pytest.importorskip("nncf")
     net, image = (
         load_weights("fast").net,
-        cv2.imread(str(Path(__file__).parents[2] / "docs/images/renders.jpg")),
+        cv2.imread(str(Path(__file__).parents[3] / "docs/images/renders.jpg")),
     )
     image = np.ascontiguousarray(image[:256, :512])
     (expected,) = TorchBackend(net).run([image])
-    found = [OpenVinoBackend(net, "int8").run([image])[0] for _ in range(2)]
+    found = [OpenVinoBackend.convert(net, "int8").run([image])[0] for _ in range(2)]
     np.testing.assert_array_equal(found[0][0], found[1][0])  # the same network each time
     assert capfd.readouterr().out == ""
     assert np.abs(found[0][0] - expected[0]).mean() < 0.03
@@ -106,17 +133,17 @@ def test_quantized_network_agrees_with_float(capfd: pytest.CaptureFixture[str]) 
     assert (found[0][0] != expected[0]).any()
 
 
-def test_missing_nncf_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_nncf_is_one_line(tiny: WeightsFile, monkeypatch: pytest.MonkeyPatch) -> None:
     openvino_or_skip()
-    monkeypatch.setattr("lsnet.quantization.find_spec", lambda _name: None)
+    monkeypatch.setattr("lsnet.runtime.quantization.find_spec", lambda _name: None)
     with pytest.raises(LSNetError, match=r"NNCF is not installed; pip install 'lsnet-pipe\[int8\]', or use"):
-        open_backend(tiny_net(), "openvino-int8")
+        open_backend(tiny, "openvino-int8")
 
 
-def test_runtime_names_set_the_precision() -> None:
+def test_runtime_names_set_the_precision(tiny: WeightsFile) -> None:
     ov = openvino_or_skip()
     has_bf16 = "BF16" in ov.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
-    backends = {name: open_backend(tiny_net(), name) for name in ("openvino", "openvino-bf16", "auto")}
+    backends = {name: open_backend(tiny, name) for name in ("openvino", "openvino-bf16", "auto")}
     assert {name: (backend.name, backend.precision) for name, backend in backends.items()} == {
         "openvino": ("openvino", "f32"),
         "openvino-bf16": ("openvino", "bf16"),
@@ -139,35 +166,37 @@ def test_openvino_telemetry_is_blocked(openvino_backend: Backend) -> None:
 
 def test_conversion_to_openvino_does_not_warn(recwarn: pytest.WarningsRecorder) -> None:
     openvino_or_skip()
-    OpenVinoBackend(tiny_net())
+    OpenVinoBackend.convert(tiny_net())
     assert [str(w.message) for w in recwarn] == []
 
 
-def test_openvino_that_fails_to_import_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_openvino_that_fails_to_import_is_one_line(
+    tiny: WeightsFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
-    monkeypatch.setattr("lsnet.runtime_choice.find_spec", lambda _name: True)
+    monkeypatch.setattr("lsnet.runtime.choice.find_spec", lambda _name: True)
     with pytest.raises(LSNetError, match=r"OpenVINO is not installed; pip install 'lsnet-pipe\[openvino\]'"):
-        open_backend(tiny_net(), "openvino")
+        open_backend(tiny, "openvino")
 
 
-def test_runtimes_by_name() -> None:
-    assert open_backend(tiny_net(), "torch").name == "torch"
-    with pytest.raises(LSNetError, match="no runtime 'tensorrt'; choose one of auto, torch, openvino"):
-        open_backend(tiny_net(), "tensorrt")
+def test_runtimes_by_name(tiny: WeightsFile) -> None:
+    assert open_backend(tiny, "torch").name == "torch"
+    with pytest.raises(LSNetError, match="no runtime 'tensorrt'; choose one of auto, torch, torch-bf16"):
+        open_backend(tiny, "tensorrt")
 
 
-def test_missing_openvino_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lsnet.runtime_choice.find_spec", lambda _name: None)
-    assert open_backend(tiny_net(), "auto").name == "torch"
+def test_missing_openvino_is_one_line(tiny: WeightsFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lsnet.runtime.choice.find_spec", lambda _name: None)
+    assert open_backend(tiny, "auto").name == "torch"
     for name in ("openvino", "openvino-bf16", "openvino-int8"):
         with pytest.raises(LSNetError, match=r"pip install 'lsnet-pipe\[openvino\]'"):
-            open_backend(tiny_net(), name)
+            open_backend(tiny, name)
 
 
 def test_backends_that_end_leave_a_stack_for_signal_handlers() -> None:
     """Python handles signals on the alternate stack of the thread; one that is not mapped is a crash."""
     openvino_or_skip()
-    backends = [OpenVinoBackend(tiny_net()) for _ in range(2)]
+    backends = [OpenVinoBackend.convert(tiny_net()) for _ in range(2)]
     for backend in backends:
         backend.run([photo(32, 32)])
     del backend

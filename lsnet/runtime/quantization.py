@@ -25,7 +25,7 @@ def quantize_int8(model: Any) -> Any:
         raise LSNetError("NNCF is not installed; pip install 'lsnet-pipe[int8]', or use the runtime openvino")
     import nncf  # noqa: PLC0415 - an extra
 
-    # Until quantized networks are shipped with the weights, the only use of training code for inference.
+    # The only use of training code for inference, where no quantized network is kept beside the weights.
     from lsnet.synth.backgrounds import BackgroundPool  # noqa: PLC0415
     from lsnet.synth.dataset import SyntheticScenes  # noqa: PLC0415
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from evaluation_sets import write_masks
-from nets import TINY, save_tiny
+from nets import TINY, openvino_or_skip, save_tiny
 from typer.testing import CliRunner
 
 import cli
@@ -295,3 +295,11 @@ def test_export_of_no_run_is_one_line(tmp_path: Path) -> None:
     result = run("export", "--run", "none", "-o", "x.safetensors", "--name", "x")
     assert isinstance(result.exception, LSNetError)
     assert not (tmp_path / "x.safetensors").exists()
+
+
+def test_converted_weights_are_kept_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    openvino_or_skip()
+    monkeypatch.setattr("lsnet.runtime.networks.PRECISIONS", ("f32",))
+    result = run("convert", "w.safetensors")
+    assert (result.exit_code, result.stdout) == (0, "w.openvino.zip: 0.0 MiB\n")
+    assert run("bench", "--size", 64, "--seconds", 0.1, "--weights", "w.safetensors").exit_code == 0

@@ -31,6 +31,11 @@ class Recipe(StrEnum):
     PAPER = "paper"
 
 
+WeightsArgument = Annotated[
+    str, typer.Argument(metavar="NAME|FILE", help="Name of shipped weights, or a .safetensors file.")
+]
+
+
 def train(
     run: RunOption,
     background: BackgroundOption = None,
@@ -173,6 +178,23 @@ def export(
     typer.echo(f"{output}: {name}, sha256 {sha256}")
 
 
+def convert(weights: WeightsArgument) -> None:
+    """Convert weights for OpenVINO, in f32 and int8, and keep the result beside them.
+
+    They then start without torch, and int8 without NNCF (extra `int8`), which converting needs. Weights that
+    have changed since are converted at every start, as without this.
+
+    \b
+    Examples:
+      lsnet-pipe model convert mine.safetensors
+    """
+    from lsnet.runtime.networks import write_networks
+    from lsnet.weights_file import read_weights
+
+    path = write_networks(read_weights(weights))
+    typer.echo(f"{path}: {path.stat().st_size / 2**20:.1f} MiB")
+
+
 def synth(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
     count: Annotated[int, typer.Option(min=1, help="Number of pictures.")] = 100,
@@ -236,6 +258,7 @@ def mine(
 
 app.command()(train)
 app.command()(export)
+app.command()(convert)
 app.command(name="eval")(model_eval.evaluate)
 app.command()(model_compare.compare)
 app.command()(model_compare.ablate)

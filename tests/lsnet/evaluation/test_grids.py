@@ -11,7 +11,7 @@ from lsnet.grid import GridCoder
 
 
 class AllCells:
-    name, precision, threads = "fake", "f32", 1
+    name, precision, threads, n_calls, n_images = "fake", "f32", 1, 1, 1
 
     def run(self, images: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
         rows, columns = GridCoder().map_size(images[0].shape[:2])

@@ -15,8 +15,8 @@ import numpy as np
 
 from inspect_pipeline.errors import QueryError, RecordingError
 from inspect_pipeline.images.draw import add_strip, draw_lines, draw_place, draw_scores, track_colours
-from inspect_pipeline.index.derived import load_store_rules
 from inspect_pipeline.index.flights import find_flight
+from inspect_pipeline.index.inspected import load_store_rules
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
 from inspect_pipeline.inspection.spans import load_spans

@@ -24,7 +24,6 @@ from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import RUN_METADATA, join_phrases, open_recording
 from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
 from inspect_pipeline.store.store import Store
-from inspect_pipeline.tracking.flight import FlightTracker
 
 if TYPE_CHECKING:
     import os
@@ -143,7 +142,9 @@ def _write_flight(
 ) -> FlightRecord:
     """Detect and track the lines of every frame, and write annotations and tables into `folder`."""
     model = model_record(detector)
-    from inspect_pipeline.georeference.frames import Georeferencer  # noqa: PLC0415 - SciPy, half a second
+    # SciPy takes half a second to import, which flights that are skipped do not need.
+    from inspect_pipeline.georeference.frames import Georeferencer  # noqa: PLC0415
+    from inspect_pipeline.tracking.flight import FlightTracker  # noqa: PLC0415
 
     signals = read_signals(recording, options.signals)
     georeferencer = Georeferencer.of(recording, options.placing)

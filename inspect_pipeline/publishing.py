@@ -11,12 +11,10 @@ import json
 from typing import TYPE_CHECKING
 
 from inspect_pipeline.atomic import store_errors, write_whole
-from inspect_pipeline.export.viewer_files import write_viewer_files
 from inspect_pipeline.index import publish as index_publish
-from inspect_pipeline.index.derived import input_digests
+from inspect_pipeline.index.inspected import input_digests
 from inspect_pipeline.index.publish import published_flights
 from inspect_pipeline.index.reading import open_index
-from inspect_pipeline.report.thumbnails import make_pictures
 from inspect_pipeline.store.feedback import load_reviews
 from inspect_pipeline.store.records import parse_json
 from inspect_pipeline.store.store import as_store
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
     # Makes files of the flight of this id in its folder. Raises OSError.
     Maker = Callable[[IndexReader, Store, str], None]
 
-_MAKERS: tuple[Maker, ...] = (write_viewer_files, make_pictures)
 _DIGESTS = "derived.json"
 
 
@@ -75,8 +72,16 @@ def _make_files_of(index: IndexReader, store: Store, flight_id: str) -> None:
         return
     for leftover in folder.glob(".*"):  # of a publish that was killed
         leftover.unlink()
-    for make in _MAKERS:
+    for make in _makers():
         make(index, store, flight_id)
+
+
+def _makers() -> tuple[Maker, ...]:
+    """Import what makes derived files, which takes long and is seldom needed."""
+    from inspect_pipeline.export.viewer_files import write_viewer_files  # noqa: PLC0415
+    from inspect_pipeline.report.thumbnails import make_pictures  # noqa: PLC0415
+
+    return write_viewer_files, make_pictures
 
 
 def _load_digests(store: Store) -> dict[str, str]:

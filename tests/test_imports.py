@@ -75,3 +75,14 @@ def test_the_command_line_leaves_the_work_to_its_packages() -> None:
     imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
     assert not {name.split(".")[0] for name in imported} & set(HEAVY)
+
+
+def test_skipping_recordings_loads_neither_torch_nor_scipy() -> None:
+    """They take seconds to import, every night."""
+    program = """
+import sys
+import inspect_pipeline.batch.run, inspect_pipeline.pipeline, inspect_pipeline.publishing, lsnet.description
+print([name for name in ("torch", "scipy", "pyarrow", "pyproj", "rich", "jinja2") if name in sys.modules])
+"""
+    child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert child.stdout.strip() == "[]"

@@ -16,6 +16,7 @@ from inspect_pipeline.geometry.camera import lens_of_view, pixel_rays, resized, 
 from inspect_pipeline.geometry.local_frame import LocalMetres
 from inspect_pipeline.geometry.terrain import load_elevation, meet_ground, meet_terrain
 from inspect_pipeline.georeference.calibration import LensReader
+from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.georeference.poses import read_poses
 
 if TYPE_CHECKING:
@@ -34,32 +35,6 @@ if TYPE_CHECKING:
 
 
 _STRAIGHT_DOWN_DEG = -90.0
-
-
-@dataclass(frozen=True, slots=True)
-class FramePose:
-    """The columns of `frames` that say where and how it was taken; None where it is not known.
-
-    attitude_source: "camera", "vehicle" for a camera taken to look straight down out of the vehicle, "nadir"
-    for one taken to look straight down, None without a position. focal_px is in pixels of this frame.
-    gsd_m and wire_px are those at the middle of the image, on the ground.
-    """
-
-    lat_deg: float | None = None
-    lon_deg: float | None = None
-    alt_m: float | None = None
-    height_m: float | None = None
-    heading_deg: float | None = None
-    cam_roll_deg: float | None = None
-    cam_pitch_deg: float | None = None
-    cam_yaw_deg: float | None = None
-    pose_age_ms: float | None = None
-    attitude_source: str | None = None
-    focal_px: float | None = None
-    gsd_m: float | None = None
-    ground_lat_deg: float | None = None
-    ground_lon_deg: float | None = None
-    wire_px: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from inspect_pipeline.index.derived import Inspected, load_store_rules
+from inspect_pipeline.index.inspected import Inspected, load_store_rules
 from inspect_pipeline.index.publish import inspect_again
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.rules import load_rules

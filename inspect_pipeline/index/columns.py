@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.georeference.frames import FramePose
+from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.tracking.tracker import TrackRow
 
 if TYPE_CHECKING:

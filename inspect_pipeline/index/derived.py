@@ -6,20 +6,18 @@ spans, the rules or the program changed.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from inspect_pipeline.index.cameras import load_cameras
+from inspect_pipeline.index.inspected import Inspected, input_digests, load_store_rules
+from inspect_pipeline.index.rows import insert_records
 from inspect_pipeline.inspection.anomalies.counts import count_conductors
 from inspect_pipeline.inspection.anomalies.find import Reviewed, inspect_cameras, with_ids
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
-from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.inspection.spans import load_spans
-from inspect_pipeline.resources import MIGRATIONS, app_version
 from inspect_pipeline.store.feedback import load_reviews, load_tags
 
 if TYPE_CHECKING:
@@ -35,14 +33,6 @@ if TYPE_CHECKING:
     from inspect_pipeline.store.store import Store
 
 
-class Inspected(NamedTuple):
-    """Rows of the tables anomalies, coverage (over all cameras) and span_judgements."""
-
-    anomalies: list[dict[str, Any]]
-    coverage: list[dict[str, Any]]
-    judgements: list[dict[str, Any]]
-
-
 DERIVED_TABLES = (
     "coverage",
     "coverage_bins",
@@ -51,25 +41,6 @@ DERIVED_TABLES = (
     "anomalies",
     "span_judgements",
 )
-
-
-def input_digests(store: Store) -> dict[str, str]:
-    """Return a hash of each input of the index other than flights, by its name.
-
-    Raises RulesError.
-    """
-    program = f"{app_version()} {len(MIGRATIONS)}"
-    digests = {"program": _sha256(program.encode()), "rules": load_store_rules(store).sha256}
-    for name in ("spans.geojson", "reviews.jsonl", "tags.jsonl"):
-        path = store.root / name
-        digests[name] = _sha256(path.read_bytes() if path.exists() else b"")
-    return digests
-
-
-def load_store_rules(store: Store) -> Rules:
-    """Load the rules of a store: its rules.toml, else the shipped ones; raises RulesError."""
-    path = store.root / "rules.toml"
-    return load_rules(path if path.exists() else None)
 
 
 def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequence[str]) -> None:
@@ -115,26 +86,6 @@ def inspect_flights(
         numbers = measure_coverage(cameras, spans, rules).numbers
         coverage += [own | asdict(one) | {"share": one.share} for one in numbers if one.channel_id is None]
     return Inspected(anomalies, coverage, judgements)
-
-
-def insert_records(
-    connection: duckdb.DuckDBPyConnection, insert: str, table: str, rows: list[dict[str, Any]]
-) -> None:
-    """Insert rows whose keys are columns of `table`, in one statement; their types are the table's."""
-    if not rows:
-        return
-    described = connection.execute(f"DESCRIBE {table}").fetchall()
-    shape = {name: kind for name, kind, *_ in described if name in rows[0]}
-    # File names and command-line arguments may contain bytes that are not text.
-    text = json.dumps(rows, ensure_ascii=False).encode(errors="replace").decode()
-    connection.execute(
-        f"{insert} BY NAME SELECT unnest(row) FROM (SELECT unnest(from_json(?, ?)) AS row)",
-        [text, json.dumps([shape])],
-    )
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 def _all_flights(connection: duckdb.DuckDBPyConnection) -> list[str]:

@@ -15,7 +15,7 @@ import duckdb
 import numpy as np
 
 from inspect_pipeline.errors import StoreError
-from inspect_pipeline.georeference.frames import FramePose
+from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.index.columns import (
     NULLABLE_FLOATS,
     FoundLines,

@@ -16,12 +16,13 @@ import duckdb
 
 from inspect_pipeline.atomic import fsync_path, store_errors
 from inspect_pipeline.errors import StoreError, StoreVersionError
-from inspect_pipeline.index.derived import input_digests, insert_records, inspect_flights, refresh
+from inspect_pipeline.index.inspected import input_digests
 from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.index.rows import (
     find_damaged,
     find_unreadable,
     insert_checksums,
+    insert_records,
     replace_rows,
 )
 from inspect_pipeline.index.schema import (
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from inspect_pipeline.index.derived import Inspected
+    from inspect_pipeline.index.inspected import Inspected
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.store.flight_folder import DamagedFlight, StoredFlight
     from inspect_pipeline.store.store import Store
@@ -99,6 +100,8 @@ def published_flights(store: Store) -> dict[str, str]:
 
 def inspect_again(store: Store, flight_ids: Sequence[str], rules: Rules) -> Inspected:
     """Return anomalies and coverage of flights by other rules, as rows of the tables; raises StoreError."""
+    from inspect_pipeline.index.derived import inspect_flights  # noqa: PLC0415 - SciPy, half a second
+
     with open_index(store) as index:
         return inspect_flights(index.connection, store, flight_ids, rules)
 
@@ -117,11 +120,17 @@ def _is_up_to_date(store: Store, flights: list[StoredFlight]) -> bool:
         latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
         if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):
             return False
-        if dict(connection.execute("SELECT name, sha256 FROM inputs").fetchall()) != input_digests(store):
+        if not _has_inputs_of(connection, store):
             return False
         rows = connection.execute("SELECT run_id::VARCHAR, finished_at FROM runs").fetchall()
     found = {run_id: time and time.replace(tzinfo=UTC).isoformat() for run_id, time in rows}
     return found == {row["run_id"]: row["finished_at"] for row in _run_rows(store, flights)}
+
+
+def _has_inputs_of(connection: duckdb.DuckDBPyConnection, store: Store) -> bool:
+    """Whether the inspection of the index is of today's rules, spans and user input."""
+    found = dict(connection.execute("SELECT name, sha256 FROM inputs").fetchall())
+    return bool(found == input_digests(store))
 
 
 def _run_rows(store: Store, flights: list[StoredFlight]) -> list[dict[str, Any]]:
@@ -210,7 +219,10 @@ def _replace_index(
             connection.begin()  # else each of these statements would wait for the disk
             connection.execute("DELETE FROM runs")
             insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
-            refresh(connection, store, [flight.record.flight_id for flight in changed])
+            if changed or removed or not _has_inputs_of(connection, store):
+                from inspect_pipeline.index.derived import refresh  # noqa: PLC0415 - SciPy, half a second
+
+                refresh(connection, store, [flight.record.flight_id for flight in changed])
             connection.execute(read_schema("views.sql"))
             connection.execute("UPDATE schema_version SET app_version = ?", [app_version()])
             insert_checksums(connection)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 import duckdb
 
-from inspect_pipeline.index.derived import insert_records
 from inspect_pipeline.index.flight_tables import ROW_TABLES
 from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, create_tables, first_line
 from inspect_pipeline.store.flight_folder import DamagedFlight
@@ -30,6 +30,22 @@ FROM (
 ) AS f
 WHERE channels.flight_id = f.flight_id AND channels.channel_id = f.channel_id
 """
+
+
+def insert_records(
+    connection: duckdb.DuckDBPyConnection, insert: str, table: str, rows: list[dict[str, Any]]
+) -> None:
+    """Insert rows whose keys are columns of `table`, in one statement; their types are the table's."""
+    if not rows:
+        return
+    described = connection.execute(f"DESCRIBE {table}").fetchall()
+    shape = {name: kind for name, kind, *_ in described if name in rows[0]}
+    # File names and command-line arguments may contain bytes that are not text.
+    text = json.dumps(rows, ensure_ascii=False).encode(errors="replace").decode()
+    connection.execute(
+        f"{insert} BY NAME SELECT unnest(row) FROM (SELECT unnest(from_json(?, ?)) AS row)",
+        [text, json.dumps([shape])],
+    )
 
 
 def replace_rows(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.index.derived import load_store_rules
+from inspect_pipeline.index.inspected import load_store_rules
 from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
 from inspect_pipeline.inspection.rules import PRIORITIES

@@ -6,7 +6,7 @@ import json
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from inspect_pipeline.index.derived import load_store_rules
+from inspect_pipeline.index.inspected import load_store_rules
 from inspect_pipeline.inspection.rules import PRIORITIES
 from inspect_pipeline.report import words
 from inspect_pipeline.report.charts import draw_timeline

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from inspect_pipeline.arrays import Ints32
-    from inspect_pipeline.georeference.frames import FramePose
+    from inspect_pipeline.georeference.frame_pose import FramePose
     from inspect_pipeline.recording.types import Frame
     from inspect_pipeline.tracking.tracker import TrackRow
     from lsnet.segments import Lines

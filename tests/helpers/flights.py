@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import duckdb
 import numpy as np
 
-from inspect_pipeline.georeference.frames import FramePose
+from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.types import CameraChannel, Frame
 from inspect_pipeline.store.records import FlightRecord, FlightTotals, ModelRecord, RunRecord

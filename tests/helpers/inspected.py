@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import flights
 import numpy as np
 
-from inspect_pipeline.georeference.frames import FramePose
+from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.inspection.spans import Span
 from inspect_pipeline.recording.types import Frame

@@ -18,7 +18,8 @@ from inspect_pipeline.geometry.attitude import YawPitchRoll
 from inspect_pipeline.geometry.camera import Intrinsics
 from inspect_pipeline.geometry.terrain import load_elevation
 from inspect_pipeline.georeference.calibration import LensTrack
-from inspect_pipeline.georeference.frames import FramePose, Georeferencer
+from inspect_pipeline.georeference.frame_pose import FramePose
+from inspect_pipeline.georeference.frames import Georeferencer
 from inspect_pipeline.georeference.poses import PoseSamples, PoseTrack
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.types import Frame

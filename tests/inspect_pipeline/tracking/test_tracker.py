@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from inspect_pipeline.geometry.attitude import YawPitchRoll
-from inspect_pipeline.georeference.frames import FramePose
+from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.types import Frame
 from inspect_pipeline.tracking.camera_motion import CameraMotion

@@ -98,6 +98,8 @@ def _to_layer(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
 
 def _to_layer_column(column: pa.Array, field: pa.Field) -> pa.Array:
     if pa.types.is_nested(column.type):
-        texts: list[Any] = [None if one is None else json.dumps(plain(one)) for one in column.to_pylist()]
+        texts: list[Any] = [
+            None if one is None else json.dumps(one, default=plain) for one in column.to_pylist()
+        ]
         return pa.array(texts, pa.string())
     return column.cast(field.type, safe=False)

@@ -16,7 +16,7 @@ from inspect_pipeline.export.labels import COCO_FILE, to_coco, to_labelme
 from inspect_pipeline.export.oriented_imagery import ORIENTED_IMAGERY_FILE, to_oriented_image
 from inspect_pipeline.export.photograph import write_photograph
 from inspect_pipeline.export.rows import Redaction, Rows
-from inspect_pipeline.export.text import plain, write_cells
+from inspect_pipeline.export.text import write_cells
 from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.store.images import iter_images, open_images
 
@@ -148,4 +148,4 @@ def _to_text(value: Any) -> Any:
 
 def _write_json(path: Path, content: Any) -> None:
     with appearing(path) as part:
-        part.write_text(json.dumps(plain(content), indent=1) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -30,11 +30,11 @@ def plain(value: Any) -> Any:
         return f"{value.replace(tzinfo=None).isoformat()}Z"
     if isinstance(value, date):
         return value.isoformat()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
-    return [plain(one) for one in value] if isinstance(value, list) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _to_json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, default=plain)
 
 
 def write_csv(rows: Rows, file: TextIO) -> None:
@@ -59,22 +59,26 @@ def _to_cell(value: Any) -> Any:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (list, dict)):
-        return json.dumps(value, ensure_ascii=False)
+        return _to_json(value)
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
 
 def write_geojson(rows: Rows, file: TextIO) -> None:
     """Write a FeatureCollection, one feature a line; rows without a place have a null geometry."""
     head = {"type": "FeatureCollection", "name": rows.what, **({"redaction": rows.note} if rows.note else {})}
-    file.write(json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [')
+    file.write(_to_json(head)[:-1] + ', "features": [')
     for i, row in enumerate(rows.dicts()):
         places = rows.coordinates(row)
         geometry = places and {
             "type": rows.geometry,
             "coordinates": places[0] if len(places) == 1 else places,
         }
-        feature = {"type": "Feature", "geometry": geometry, "properties": plain(dict(row))}
-        file.write(("," if i else "") + "\n" + json.dumps(feature, ensure_ascii=False))
+        feature = {
+            "type": "Feature",
+            "geometry": geometry,
+            "properties": {name: plain(value) for name, value in row.items()},
+        }
+        file.write(("," if i else "") + "\n" + _to_json(feature))
     file.write("\n]}\n")
 
 
@@ -112,7 +116,7 @@ def _placemark(rows: Rows, row: Row) -> Iterator[str]:
 
 def _to_text(value: Any) -> str:
     value = plain(value)
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return value if isinstance(value, str) else _to_json(value)
 
 
 def _inert(text: str) -> str:

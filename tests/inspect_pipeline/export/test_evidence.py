@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from fakes import FakeDetector
 from mcap.reader import make_reader
 from PIL import ExifTags, Image
 from pycocotools.coco import COCO
 
-from inspect_pipeline.config import ProcessOptions
 from inspect_pipeline.convert.exif import read_tags
 from inspect_pipeline.errors import MissingExtraError
 from inspect_pipeline.export.evidence import export_evidence
@@ -23,44 +21,14 @@ from inspect_pipeline.export.rerun import export_rrd
 from inspect_pipeline.export.rows import Redaction
 from inspect_pipeline.export.snippet import export_snippet
 from inspect_pipeline.index.reading import select
-from inspect_pipeline.pipeline import process
 from inspect_pipeline.publishing import publish
-from inspect_pipeline.simulation.options import SimulationOptions
-from inspect_pipeline.simulation.write import simulate_flight
 from inspect_pipeline.store.store import Store
-from lsnet.segments import Detections, Lines, Segments
 from lsnet.training.labels import load_labels
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 S = 1_000_000_000
-ALWAYS_DARK = "[frames]\ndark_below_luma = 250.0\noverexposed_above_luma = 255.0\n"
-
-
-class TwoLines(FakeDetector):
-    """Finds the same two lines in every image."""
-
-    def _detect(self, image: np.ndarray) -> Detections:
-        size = image.shape[:2]
-        points = [
-            np.array(p, np.float32) for p in ([[2, 3], [60, 40.5], [150, 90]], [[10, 110], [12.25, 20]])
-        ]
-        ends = np.array([(*p[0], *p[-1]) for p in points], np.float32)
-        scores = np.array([0.9, 0.8], np.float32)
-        return Detections(Segments(ends, scores, size), Lines(tuple(points), scores, size))
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory, flat_ground: None) -> Store:
-    """Ten seconds, every frame of which counts as dark."""
-    folder = tmp_path_factory.mktemp("flown")
-    simulate_flight(folder / "a.mcap", SimulationOptions(seconds=10, fps=1, image_size=(120, 160)))
-    store = Store(folder / "store")
-    process(folder / "a.mcap", store, TwoLines(), ProcessOptions())
-    (store.root / "rules.toml").write_text(ALWAYS_DARK)
-    publish(store)
-    return store
 
 
 def flight_ids(store: Store) -> list[str]:

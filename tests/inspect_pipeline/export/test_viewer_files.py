@@ -174,3 +174,23 @@ def test_layouts_of_any_number_of_cameras(n_cameras: int, has_map: bool) -> None
 
 def leaves(node: Any) -> set[str]:
     return {node} if isinstance(node, str) else leaves(node["first"]) | leaves(node["second"])
+
+
+def test_annotations_are_matched_to_their_images(flown: Store) -> None:
+    """By the rule of Lichtblick: stamps equal in ns, and an annotation for frames without lines too."""
+    (stored,), _ = flown.scan()
+    messages = read(stored.folder / "annotated.mcap")
+    images = [m.timestamp.ToNanoseconds() for topic, _, m in messages if topic == "/camera/image"]
+    annotations = [m for topic, _, m in messages if topic == "/camera/image/lsnet/annotations"]
+    assert len(images) == 10
+    for stamp_ns, annotation in zip(images, annotations, strict=True):
+        assert annotation.points
+        assert {points.timestamp.ToNanoseconds() for points in annotation.points} == {stamp_ns}
+    shown = [sum(bool(points.points) for points in annotation.points) for annotation in annotations]
+    rows = select(flown, "SELECT n_lines FROM frames ORDER BY frame_idx")
+    assert shown == [row["n_lines"] for row in rows]
+    assert set(shown) == {0, 2}
+    layout = json.loads((stored.folder / "layout.json").read_text())
+    assert list(layout["configById"]["Image!lsnet0"]["imageMode"]["annotations"]) == [
+        "/camera/image/lsnet/annotations"
+    ]

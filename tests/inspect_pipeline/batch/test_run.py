@@ -142,7 +142,7 @@ def test_a_split_recording_with_a_missing_part_goes_to_quarantine(night: Night) 
     bag.mkdir()
     night.add("bag/b_0", 1)
     (bag / "metadata.yaml").write_text("relative_file_paths:\n  - b_0.mcap\n  - b_1.mcap\n")
-    summary = night.run()  # the part may be on its way
+    summary = night.run(settle_s=0.05)  # the part may be on its way
     assert (summary.exit_code, night.counts(summary)) == (0, {"found": 1, "waiting": 1})
     os.utime(bag / "b_0.mcap", (0, 0))
     summary = night.run()

@@ -34,6 +34,7 @@ from inspect_pipeline.index.schema import (
     first_line,
     index_error,
     is_locked,
+    table_names,
 )
 from inspect_pipeline.resources import MIGRATIONS, app_version, read_schema
 from inspect_pipeline.store.runs import load_runs, run_rows
@@ -74,7 +75,7 @@ def publish(store: Store | Path | str) -> IndexChange:
         if known is None:
             return _rebuild(store, flights, damaged)
         wanted = {flight.record.flight_id: flight.result_sha256 for flight in flights}
-        if known == wanted and is_current(store, flights):
+        if known == wanted and _is_current(store, flights):
             return IndexChange(len(flights), 0, 0, tuple(damaged))
         try:
             return _replace_index(store, flights, damaged, known)
@@ -106,23 +107,25 @@ def inspect_again(store: Store, flight_ids: Sequence[str], rules: Rules) -> Insp
         return inspect_flights(index.connection, store, flight_ids, rules)
 
 
-def is_current(store: Store, flights: list[StoredFlight]) -> bool:
-    """Whether the index is of this version of the program, with all runs and user input."""
+def _is_current(store: Store, flights: list[StoredFlight]) -> bool:
     try:
-        return _is_up_to_date(store, flights)
+        with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
+            return is_current(connection, store, flights)
     except DATABASE_ERRORS:  # a table is missing, or damaged
         return False
 
 
-def _is_up_to_date(store: Store, flights: list[StoredFlight]) -> bool:
-    """Implement `is_current` for an index that can be read; raises DATABASE_ERRORS."""
-    with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
-        latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
-        if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):
-            return False
-        if not _has_inputs_of(connection, store):
-            return False
-        rows = connection.execute("SELECT run_id::VARCHAR, finished_at FROM runs").fetchall()
+def is_current(connection: duckdb.DuckDBPyConnection, store: Store, flights: list[StoredFlight]) -> bool:
+    """Whether the index is of this version of the program, with all runs and user input.
+
+    Raises DATABASE_ERRORS.
+    """
+    latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
+    if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):
+        return False
+    if not _has_inputs_of(connection, store):
+        return False
+    rows = connection.execute("SELECT run_id::VARCHAR, finished_at FROM runs").fetchall()
     found = {run_id: time and time.replace(tzinfo=UTC).isoformat() for run_id, time in rows}
     return found == {row["run_id"]: row["finished_at"] for row in _run_rows(store, flights)}
 
@@ -164,20 +167,14 @@ def _has_all_blocks(path: Path, connection: duckdb.DuckDBPyConnection) -> bool:
 
     Free blocks at the end do not count, which DuckDB 2 removes.
     """
-    names = connection.execute("SELECT table_name FROM duckdb_tables() WHERE NOT internal").fetchall()
-    last = max(
-        (
-            block_id
-            for (name,) in names
-            for (block_id,) in connection.execute(
-                "SELECT max(block_id) FROM pragma_storage_info(?) WHERE persistent", [name]
-            ).fetchall()
-            if block_id is not None
-        ),
-        default=-1,
+    blocks = " UNION ALL ".join(
+        f"SELECT block_id FROM pragma_storage_info('{name}') WHERE persistent"
+        for name in table_names(connection)
     )
-    size = connection.execute("SELECT block_size FROM pragma_database_size()").fetchall()[0][0]
-    return path.stat().st_size >= _HEADER_BYTES + (last + 1) * int(size)
+    last, size = connection.execute(
+        f"SELECT coalesce(max(block_id), -1), (SELECT block_size FROM pragma_database_size()) FROM ({blocks})"
+    ).fetchall()[0]
+    return path.stat().st_size >= _HEADER_BYTES + (int(last) + 1) * int(size)
 
 
 def _rebuild(store: Store, flights: list[StoredFlight], damaged: list[DamagedFlight]) -> IndexChange:

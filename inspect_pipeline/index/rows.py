@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 import duckdb
 
 from inspect_pipeline.index.flight_tables import ROW_TABLES
-from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, create_tables, first_line
+from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, create_tables, table_names
 from inspect_pipeline.store.flight_folder import DamagedFlight
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
 
     from inspect_pipeline.store.flight_folder import StoredFlight
 
@@ -96,27 +95,27 @@ def _row_files(flights: Iterable[StoredFlight], table: str) -> list[str]:
     return [str(flight.folder / name) for flight in flights if name in flight.record.files]
 
 
-def compare_rows(index_path: Path, flights: list[StoredFlight]) -> list[str]:
-    """Return a sentence about each flight whose rows in the index differ from its parquet files."""
+def compare_rows(connection: duckdb.DuckDBPyConnection, flights: list[StoredFlight]) -> list[str]:
+    """Return a sentence about each flight whose rows in the index differ from its parquet files.
+
+    Raises DATABASE_ERRORS for an index that cannot be read.
+    """
     problems = []
     try:
-        with duckdb.connect(index_path, read_only=True, config=CONFIG) as connection:
-            for table in ROW_TABLES if flights else ():
-                if not (files := _row_files(flights, table)):
-                    continue
-                # A column that files of older versions lack is NULL in the index.
-                rows = f"((FROM {table} LIMIT 0) UNION ALL BY NAME FROM {_PARQUET})"
-                expected = _digests(connection, table, rows, [files])
-                found = _digests(connection, table, table, [])
-                differing = [i for i, digest in expected.items() if found.get(i) != digest]
-                problems += [
-                    f"{i}: {table} in the index differ from the flight's; {REBUILD}" for i in differing
-                ]
-    except DATABASE_ERRORS as error:
+        for table in ROW_TABLES if flights else ():
+            if not (files := _row_files(flights, table)):
+                continue
+            # A column that files of older versions lack is NULL in the index.
+            rows = f"((FROM {table} LIMIT 0) UNION ALL BY NAME FROM {_PARQUET})"
+            expected = _digests(connection, table, rows, [files])
+            found = _digests(connection, table, table, [])
+            differing = [i for i, digest in expected.items() if found.get(i) != digest]
+            problems += [f"{i}: {table} in the index differ from the flight's; {REBUILD}" for i in differing]
+    except DATABASE_ERRORS:
         unreadable = find_unreadable(flights)
-        problems += [f"{one.folder}: {one.problem}" for one in unreadable]
         if not unreadable:
-            problems.append(f"{index_path}: {first_line(error)}; {REBUILD}")
+            raise
+        problems += [f"{one.folder}: {one.problem}" for one in unreadable]
     return problems
 
 
@@ -149,32 +148,25 @@ def find_unreadable(flights: list[StoredFlight]) -> list[DamagedFlight]:
 def insert_checksums(connection: duckdb.DuckDBPyConnection) -> None:
     """Store a checksum of every table whose rows cannot be compared with the flights' files."""
     connection.execute("DELETE FROM checksums")
-    for table in _checked_tables(connection):
-        row = (table, *_checksum(connection, table), duckdb.__version__)
-        connection.execute("INSERT INTO checksums VALUES (?, ?, ?, ?)", row)
+    tables = [name for name in table_names(connection) if name not in (*ROW_TABLES, "checksums")]
+    connection.execute(f"INSERT INTO checksums {_checksums(tables)}")
 
 
-def compare_checksums(index_path: Path) -> list[str]:
-    """Return a sentence about each table with other rows than were published; raises DATABASE_ERRORS."""
-    with duckdb.connect(index_path, read_only=True, config=CONFIG) as connection:
-        rows = connection.execute("FROM checksums WHERE duckdb_version = ?", [duckdb.__version__]).fetchall()
-        return [
-            f"{index_path}: the rows of {table} are not those that were published; {REBUILD}"
-            for table, n_rows, checksum, _ in rows
-            if _checksum(connection, table) != (n_rows, checksum)
-        ]
+def compare_checksums(connection: duckdb.DuckDBPyConnection) -> list[str]:
+    """Return the tables with other rows than were published; raises DATABASE_ERRORS."""
+    published = connection.execute("FROM checksums WHERE duckdb_version = ?", [duckdb.__version__]).fetchall()
+    tables = [table for table, *_ in published]
+    found = connection.execute(_checksums(tables)).fetchall() if tables else []
+    return sorted(table for table, *_ in set(published) - set(found))
 
 
-def _checked_tables(connection: duckdb.DuckDBPyConnection) -> list[str]:
-    names = connection.execute("SELECT table_name FROM duckdb_tables() WHERE NOT internal ORDER BY 1")
-    return [name for (name,) in names.fetchall() if name not in (*ROW_TABLES, "checksums")]
-
-
-def _checksum(connection: duckdb.DuckDBPyConnection, table: str) -> tuple[int, str]:
-    """Return the number of rows and the sum of their hashes, which no order changes."""
-    sum_of_hashes = f"SELECT count(*), coalesce(sum(hash(row)), 0)::VARCHAR FROM {table} AS row"
-    n_rows, checksum = connection.execute(sum_of_hashes).fetchall()[0]
-    return n_rows, checksum
+def _checksums(tables: list[str]) -> str:
+    """Return the query for the rows of `checksums`: sums of hashes, so that order does not matter."""
+    return " UNION ALL ".join(
+        f"SELECT '{table}', count(*), coalesce(sum(hash(row)), 0)::VARCHAR, '{duckdb.__version__}'"
+        f" FROM {table} AS row"
+        for table in tables
+    )
 
 
 def _digests(

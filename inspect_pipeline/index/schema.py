@@ -56,6 +56,12 @@ def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
         connection.commit()
 
 
+def table_names(connection: duckdb.DuckDBPyConnection) -> list[str]:
+    """Return the names of all tables in order."""
+    names = connection.execute("SELECT table_name FROM duckdb_tables() WHERE NOT internal ORDER BY 1")
+    return [name for (name,) in names.fetchall()]
+
+
 def count_migrations(connection: duckdb.DuckDBPyConnection) -> int:
     """Return how many migrations were applied to a database."""
     try:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import duckdb
+
 from inspect_pipeline.atomic import store_errors
 from inspect_pipeline.index.publish import is_current, read_published
 from inspect_pipeline.index.rows import compare_checksums, compare_rows, find_damaged
-from inspect_pipeline.index.schema import DATABASE_ERRORS, REBUILD, first_line
+from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, first_line
 from inspect_pipeline.store.store import as_store
 
 if TYPE_CHECKING:
@@ -43,9 +45,13 @@ def verify(store: Store | Path | str) -> tuple[str, ...]:
         same = {i: f for i, f in wanted.items() if known.get(i) == f.result_sha256}
         problems += [f"{i}: older in the index; {REBUILD}" for i in (wanted.keys() & known) - same.keys()]
         intact = [flight for flight in same.values() if flight.folder not in folders]
-        problems += compare_rows(store.index_path, intact)
-        if not problems:
-            problems += _check_rest(store, flights)
+        try:
+            with duckdb.connect(store.index_path, read_only=True, config=CONFIG) as connection:
+                problems += compare_rows(connection, intact)
+                if not problems:
+                    problems += _check_rest(connection, store, flights)
+        except DATABASE_ERRORS as error:
+            problems.append(f"{store.index_path}: {first_line(error)}; {REBUILD}")
         return tuple(problems)
 
 
@@ -55,11 +61,13 @@ def _check_files(store: Store, flights: list[StoredFlight]) -> list[DamagedFligh
         return find_damaged(flights, lambda flight: flight.record.files)
 
 
-def _check_rest(store: Store, flights: list[StoredFlight]) -> list[str]:
+def _check_rest(
+    connection: duckdb.DuckDBPyConnection, store: Store, flights: list[StoredFlight]
+) -> list[str]:
     """Check version, runs and user input of the index, then the checksums of its other tables."""
-    if not is_current(store, flights):
+    if not is_current(connection, store, flights):
         return [f"{store.index_path}: other runs, spans or rules, or another version; {REBUILD}"]
-    try:
-        return compare_checksums(store.index_path)
-    except DATABASE_ERRORS as error:
-        return [f"{store.index_path}: {first_line(error)}; {REBUILD}"]
+    return [
+        f"{store.index_path}: the rows of {table} are not those that were published; {REBUILD}"
+        for table in compare_checksums(connection)
+    ]

@@ -44,16 +44,16 @@ def first_line(error: duckdb.Error | UnicodeDecodeError) -> str:
 
 
 def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
-    """Apply the migrations that a database lacks, each in a transaction."""
+    """Apply the migrations that a database lacks, in one transaction."""
     applied = count_migrations(connection)
+    connection.begin()
     for number, name in enumerate(MIGRATIONS[applied:], applied + 1):
-        connection.begin()
         connection.execute(read_schema(name))
         connection.execute(
             "INSERT INTO schema_version VALUES (?, ?, ?)",
             [number, datetime.now(UTC).replace(tzinfo=None), app_version()],
         )
-        connection.commit()
+    connection.commit()
 
 
 def table_names(connection: duckdb.DuckDBPyConnection) -> list[str]:

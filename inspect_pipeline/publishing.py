@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from inspect_pipeline.atomic import store_errors, write_whole
 from inspect_pipeline.index import publish as index_publish
 from inspect_pipeline.index.inspected import input_digests
-from inspect_pipeline.index.publish import published_flights
 from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.store.feedback import load_reviews
 from inspect_pipeline.store.records import parse_json
@@ -55,12 +54,12 @@ def rebuild(store: Store | Path | str) -> IndexChange:
 
 
 def _make_derived_files(store: Store) -> None:
-    with store.publish_lock():
-        known, wanted = _load_digests(store), _digests(store)
+    with store.publish_lock(), open_index(store) as index:
+        known, wanted = _load_digests(store), _digests(index, store)
         stale = [flight_id for flight_id, digest in wanted.items() if known.get(flight_id) != digest]
         if not stale and known.keys() == wanted.keys():
             return
-        with store_errors(store.root), open_index(store) as index:
+        with store_errors(store.root):
             for flight_id in stale:
                 _make_files_of(index, store, flight_id)
             write_whole(store.root / _DIGESTS, json.dumps(wanted, indent=1) + "\n")
@@ -92,16 +91,16 @@ def _load_digests(store: Store) -> dict[str, str]:
     return found if isinstance(found, dict) else {}
 
 
-def _digests(store: Store) -> dict[str, str]:
+def _digests(index: IndexReader, store: Store) -> dict[str, str]:
     """Return a digest of what the derived files of each flight in the index are made of."""
     inputs = input_digests(store)
     common = [inputs[name] for name in ("program", "rules", "spans.geojson")]
     reviews: dict[str, list[str]] = {}
     for one in load_reviews(store):
         reviews.setdefault(one.flight_id, []).append(repr(one))
-    return {
-        flight_id: hashlib.sha256(
-            "\n".join([*common, result_sha256, *sorted(reviews.get(flight_id, []))]).encode()
-        ).hexdigest()
-        for flight_id, result_sha256 in sorted(published_flights(store).items())
-    }
+    digests = {}
+    for flight in index.select("SELECT flight_id, result_sha256 FROM flights ORDER BY flight_id"):
+        flight_id = flight["flight_id"]
+        parts = [*common, flight["result_sha256"], *sorted(reviews.get(flight_id, []))]
+        digests[flight_id] = hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    return digests

@@ -21,6 +21,7 @@ from inspect_pipeline.batch.stop_request import StopRequest
 from inspect_pipeline.batch.worker import WorkerFailure
 from inspect_pipeline.config import start_described_run
 from inspect_pipeline.errors import InspectError, StoreError
+from inspect_pipeline.index.publish import published_flights
 from inspect_pipeline.publishing import publish
 from inspect_pipeline.store.records import ANNOTATED
 from inspect_pipeline.store.runs import Counts, RunSummary, save_run
@@ -120,6 +121,7 @@ class _Batch:
             self._report("folder of the inbox cannot be read", path=str(folder))
         description = self._executor.describe()
         self._run = start_described_run(description, self._job.options, "batch", self._options.tags)
+        self._published = published_flights(self._store)
         due = [candidate for candidate in found.candidates if self._is_due(candidate)]
         return due[: self._options.limit]
 

@@ -27,6 +27,7 @@ from inspect_pipeline.commands import (
     quarantine,
     query,
     report,
+    review,
     runs,
     schedule,
     simulate,
@@ -55,6 +56,7 @@ app.command()(overlay.overlay)
 app.command()(export.export)
 app.command()(view.view)
 app.command()(report.report)
+app.command()(review.review)
 app.command()(pack.pack)
 app.command()(simulate.simulate)
 app.command()(doctor.doctor)

@@ -34,6 +34,7 @@ COMMANDS = (
     "anomalies",
     "check",
     "report",
+    "review",
     "flights",
 )
 

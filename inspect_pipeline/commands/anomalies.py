@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import json
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
@@ -85,22 +84,13 @@ def mark(
       lsnet-pipe anomalies mark 0a1b2c dismissed --note "a bird"
       lsnet-pipe anomalies mark 0a1b2c open --by kim
     """
-    from inspect_pipeline.index.anomalies import find_anomaly
     from inspect_pipeline.publishing import publish
-    from inspect_pipeline.store.feedback import add_review
+    from inspect_pipeline.review.decisions import decide
 
     target = open_store(store)
-    anomaly = find_anomaly(target, anomaly_id)
-    add_review(target, anomaly, decision.value, note, by or _user_name())
+    review = decide(target, anomaly_id, decision.value, note, by)
     publish(target)
-    print_line(f"{anomaly['anomaly_id']} {decision.value}")
-
-
-def _user_name() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user id without a name, as in containers
-        return ""
+    print_line(f"{review.anomaly_id} {review.verdict}")
 
 
 def _to_row(row: dict[str, Any], timezone: tzinfo | None) -> tuple[str | None, ...]:

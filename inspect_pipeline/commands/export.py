@@ -23,6 +23,7 @@ class What(StrEnum):
 
     anomalies = "anomalies"
     evidence = "evidence"
+    corrections = "corrections"
     frames = "frames"
     lines = "lines"
     spans = "spans"
@@ -121,6 +122,8 @@ def export(
         _export_rrd(source, flight_ids, output, redaction)
     elif what == What.evidence:
         _export_evidence(source, flight_ids, output, chosen, redaction)
+    elif what == What.corrections:
+        _export_corrections(source, flight_ids, output, chosen)
     else:
         from inspect_pipeline.export.tables import export_rows
 
@@ -130,11 +133,13 @@ def export(
 
 def _choose_format(output: Path, what: What, form: Form | None) -> Form:
     """Return the format, given or as the suffix says; refuse those that do not hold what is exported."""
+    from inspect_pipeline.export.corrections import CORRECTION_FORMATS
     from inspect_pipeline.export.evidence import EVIDENCE_FORMATS
     from inspect_pipeline.export.tables import TABLE_FORMATS
 
-    possible = EVIDENCE_FORMATS if what == What.evidence else (*TABLE_FORMATS[what.value], "rrd")
-    default = Form.jpeg if what == What.evidence else None
+    folders = {What.evidence: EVIDENCE_FORMATS, What.corrections: CORRECTION_FORMATS}
+    possible = folders[what] if what in folders else (*TABLE_FORMATS[what.value], "rrd")
+    default = Form(possible[0]) if what in folders else None
     chosen = form or _SUFFIXES.get(output.suffix.lower(), default)
     if chosen is None:
         raise typer.BadParameter(f"{output}: its suffix names no format; give --format {'|'.join(possible)}")
@@ -196,6 +201,17 @@ def _export_evidence(
         warn(failure)
     _report(folder, count_of(found.n_images, "image"), redaction)
     if found.failures:
+        raise typer.Exit(1)
+
+
+def _export_corrections(store: Store, flight_ids: list[str], folder: Path, form: Form) -> None:
+    from inspect_pipeline.export.corrections import export_corrections
+
+    n_images, failures = export_corrections(store, flight_ids, folder, form.value)
+    for failure in failures:
+        warn(failure)
+    _report(folder, count_of(n_images, "image"), None)
+    if failures:
         raise typer.Exit(1)
 
 

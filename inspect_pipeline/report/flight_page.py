@@ -14,20 +14,22 @@ from inspect_pipeline.report.data import load_flight
 from inspect_pipeline.report.evidence import load_evidence
 from inspect_pipeline.report.figures import make_figures
 from inspect_pipeline.report.map import draw_map
-from inspect_pipeline.report.page import render
+from inspect_pipeline.report.page import load_assets, render
 from inspect_pipeline.store.images import source_path
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from inspect_pipeline.report.data import FlightData, Row
+    from inspect_pipeline.report.page import Serving
     from inspect_pipeline.store.store import Store
 
 _N_FIRST = 6  # findings named on the first screen
 
 
-def render_flight(store: Store, flight_id: str) -> str:
-    """Return the page of a flight. Raises StoreError, RulesError."""
+def render_flight(store: Store, flight_id: str, serving: Serving | None = None) -> str:
+    """Return the page of a flight, with buttons where it is served. Raises StoreError, RulesError."""
+    scripts = ("page.js", "review.js") if serving else ("page.js",)
     data, evidence = load_flight(store, flight_id), load_evidence(store, flight_id)
     figures, span_figures = make_figures(store.flight_dir(flight_id), evidence)
     spans = {row["span_id"]: f"span-{number}" for number, row in enumerate(data.spans, 1)}
@@ -36,6 +38,8 @@ def render_flight(store: Store, flight_id: str) -> str:
     numbers = {row["anomaly_id"]: number for number, row in enumerate(data.anomalies, 1)}
     return render(
         "flight.html",
+        assets=load_assets(*scripts, serving=serving),
+        serving=serving,
         data=data,
         name=source_path(data.flight["source_uri"]).name,
         map=draw_map(

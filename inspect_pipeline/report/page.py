@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _CSP = "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'"
+_SERVED_CSP = (
+    "default-src 'none'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'self'"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +36,28 @@ class Assets:
     policy: str
 
 
-def load_assets(*scripts: str) -> Assets:
-    """Read the style sheet and scripts of the package. Both are allowed by their hashes."""
+@dataclass(frozen=True, slots=True)
+class Serving:
+    """How a served page reaches its server: the path of the server, and whether all flights have a page."""
+
+    base: str
+    has_store_page: bool
+
+
+def load_assets(*scripts: str, serving: Serving | None = None) -> Assets:
+    """Read the style sheet and scripts of the package. Both are allowed by their hashes.
+
+    The page of a server may also load pictures from it, and send forms to it.
+    """
     style, script = _read("page.css"), "\n".join(_read(name) for name in scripts)
-    policy = f"{_CSP}; style-src '{_csp_hash(style)}'; script-src '{_csp_hash(script)}'"
+    own = _SERVED_CSP if serving else _CSP
+    policy = f"{own}; style-src '{_csp_hash(style)}'; script-src '{_csp_hash(script)}'"
     return Assets(Markup(style), Markup(script), policy)  # noqa: S704 - files of this package
 
 
 def render(template: str, **values: Any) -> str:
     """Return a page of a template of the package; `page.js` is its script."""
-    values = {"assets": load_assets("page.js"), "version": app_version()} | values
+    values = {"assets": load_assets("page.js"), "version": app_version(), "serving": None} | values
     return _environment().get_template(template).render(values)
 
 

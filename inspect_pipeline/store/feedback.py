@@ -1,6 +1,6 @@
-"""User feedback, which is never derived: reviews of anomalies and tags of flights.
+"""User feedback, which is never derived: reviews of anomalies, tags of flights, corrected lines of frames.
 
-reviews.jsonl and tags.jsonl are append-only logs, one line per decision; the latest one counts.
+reviews.jsonl, tags.jsonl and corrections.jsonl are append-only logs, a line per decision; the latest counts.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from inspect_pipeline.store.store import Store
+
+_CORRECTIONS = "corrections.jsonl"
 
 Verdict = Literal["confirmed", "dismissed", "open"]  # open takes a decision back
 
@@ -53,6 +55,21 @@ class Tag:
     tagged_at: str
 
 
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """All lines of a frame as a person says, each a list of [x, y]; units are px."""
+
+    flight_id: str
+    channel_id: int
+    frame_idx: int
+    log_time_ns: int
+    width: int
+    height: int
+    lines: list[list[list[float]]]
+    corrected_at: str
+    corrected_by: str
+
+
 def add_review(
     store: Store, anomaly: dict[str, Any], verdict: Verdict, note: str, reviewed_by: str = ""
 ) -> Review:
@@ -67,6 +84,21 @@ def add_review(
 def add_tag(store: Store, flight_id: str, key: str, value: str | None) -> None:
     """Record a tag of a flight, or with None its removal; raises StoreError."""
     _append(store.root / "tags.jsonl", asdict(Tag(flight_id, key, value, _now())))
+
+
+def add_correction(
+    store: Store, frame: dict[str, Any], lines: list[list[list[float]]], corrected_by: str
+) -> Correction:
+    """Record the lines of a frame, given by its fields of a Correction; raises StoreError."""
+    correction = Correction(lines=lines, corrected_at=_now(), corrected_by=corrected_by, **frame)
+    _append(store.root / _CORRECTIONS, asdict(correction))
+    return correction
+
+
+def load_corrections(store: Store) -> list[Correction]:
+    """Return the latest correction of each frame; raises StoreError."""
+    corrections = [Correction(**line) for line in _read(store.root / _CORRECTIONS, Correction)]
+    return list({(one.flight_id, one.channel_id, one.frame_idx): one for one in corrections}.values())
 
 
 def load_reviews(store: Store) -> list[Review]:
@@ -102,7 +134,7 @@ def _append(path: Path, line: dict[str, Any]) -> None:
             os.fsync(file.fileno())
 
 
-def _read(path: Path, kind: type[Review | Tag]) -> list[dict[str, Any]]:
+def _read(path: Path, kind: type[Review | Tag | Correction]) -> list[dict[str, Any]]:
     """Read the lines of a log, skipping torn ones; raises StoreError."""
     if not path.exists():
         return []
@@ -119,7 +151,7 @@ def _read(path: Path, kind: type[Review | Tag]) -> list[dict[str, Any]]:
     return lines
 
 
-def _is_record(line: Any, kind: type[Review | Tag]) -> bool:
+def _is_record(line: Any, kind: type[Review | Tag | Correction]) -> bool:
     """Whether a line has the fields of a dataclass; those with a default may be missing."""
     if not isinstance(line, dict):
         return False

@@ -1,0 +1,1 @@
+"""Decide about anomalies and correct lines in a browser on this machine."""

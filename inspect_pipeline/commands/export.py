@@ -95,7 +95,7 @@ def export(
     ] = None,
     store: StoreOption = None,
 ) -> None:
-    """Export what was found for maps, spreadsheets and other systems.
+    """Export what was found for other systems.
 
     \b
     Examples:

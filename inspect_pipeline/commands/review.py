@@ -29,8 +29,7 @@ def review(
     """Decide about anomalies in the browser.
 
     Wrong and missed lines can be corrected, too. The report is served to this machine alone, at the address
-    that is printed. Keys: j and k move,
-    c confirms, d dismisses. Stop it with Ctrl-C.
+    that is printed. Keys: j and k move, c confirms, d dismisses. Stop it with Ctrl-C.
 
     \b
     Examples:

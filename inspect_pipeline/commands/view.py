@@ -35,9 +35,9 @@ def view(
     ] = 0,
     store: StoreOption = None,
 ) -> None:
-    """Show a flight in Lichtblick or Foxglove: serve its files to this machine and print the links.
+    """Show a flight in Lichtblick or Foxglove.
 
-    Stop it with Ctrl-C.
+    Its files are served to this machine, and the links printed. Stop it with Ctrl-C.
 
     \b
     Examples:

@@ -303,3 +303,36 @@ def test_converted_weights_are_kept_beside_them(monkeypatch: pytest.MonkeyPatch)
     result = run("convert", "w.safetensors")
     assert (result.exit_code, result.stdout) == (0, "w.openvino.zip: 0.0 MiB\n")
     assert run("bench", "--size", 64, "--seconds", 0.1, "--weights", "w.safetensors").exit_code == 0
+
+
+def test_bench_of_an_untrained_preset() -> None:
+    result = run("bench", "--preset", "tiny", "--json", "--size", 32, "--seconds", 0.1, "--runtime", "torch")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert json.loads(result.stdout)["preset"] == "tiny"
+    assert "no preset 'huge'; choose one of" in str(run("bench", "--preset", "huge").exception)
+
+
+def test_import_and_evaluate_a_published_set(tmp_path: Path) -> None:
+    (tmp_path / "in/gt").mkdir(parents=True)
+    cv2.imwrite("in/1.bmp", np.full((40, 50, 3), 90, np.uint8))
+    cv2.imwrite("in/2.bmp", np.full((40, 50, 3), 90, np.uint8))
+    cv2.imwrite("in/gt/1.bmp", np.zeros((40, 50), np.uint8))
+    result = run("import", "in", "-o", "set")
+    assert result.stdout == (
+        "set: 1 images; 1 images without a mask left out; next: lsnet-pipe model eval set --paper\n"
+    )
+    assert len(run("eval", "set", "--paper", *TINY_RUN).stdout.splitlines()) == 13
+
+
+def test_figures_are_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_masks(tmp_path / "m")
+    figures = {
+        ("detections", "m", "--rival", "hough", "--width", 64, *TINY_RUN): (3 + 1) * (64 + 4),
+        ("grids", "m/images/a.jpg", "--width", 64, *TINY_RUN): 4 * (64 + 4),
+        ("augmentations", "--size", 64): 4 * (64 + 4),
+    }
+    for words, width in figures.items():
+        result = run("figure", *words, "-o", "figure.png")
+        assert (result.exit_code, result.stdout) == (0, "figure.png\n"), words
+        assert cv2.imread("figure.png").shape[1] == width
+    assert run("figure", "grids", "m/images/a.jpg", "-o", "figure.pdf", *TINY_RUN).exit_code == 2

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands import model_compare, model_eval
+from inspect_pipeline.commands import model_compare, model_eval, model_figure
 from inspect_pipeline.commands.model_compare import Device, DeviceOption
 from inspect_pipeline.commands.options import BackgroundOption, RunOption, RuntimeOption, WeightsOption
 from inspect_pipeline.commands.progress import progress_bar
@@ -265,3 +265,5 @@ app.command()(model_compare.ablate)
 app.command()(synth)
 app.command()(mine)
 app.command()(model_eval.bench)
+app.command(name="import")(model_eval.import_set)
+app.add_typer(model_figure.app, name="figure")

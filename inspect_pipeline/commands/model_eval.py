@@ -101,6 +101,10 @@ def bench(
         float, typer.Option(min=0.1, metavar="SECONDS", help="Duration of the measurement.")
     ] = 5.0,
     weights: WeightsOption = "fast",
+    preset: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Instead of weights, an untrained network: paper or fast."),
+    ] = None,
     runtime: RuntimeOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -109,8 +113,36 @@ def bench(
     \b
     Examples:
       lsnet-pipe model bench --json --size 512 --images photos
+      lsnet-pipe model bench --preset paper
     """
-    from lsnet.evaluation.speed import measure_speed
+    from lsnet import Detector
+    from lsnet.evaluation.speed import measure_speed, open_untrained
 
-    result = measure_speed(weights, runtime, size, images, seconds)
+    if preset is None:
+        detector = Detector.load(weights, runtime=runtime, scale=1.0)
+    else:
+        detector = open_untrained(preset, runtime)
+    result = measure_speed(detector, size, images, seconds)
     typer.echo(json.dumps(asdict(result)) if as_json else str(result))
+
+
+def import_set(
+    source: Annotated[Path, typer.Argument(metavar="DIR", help="Images and masks as they were published.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
+) -> None:
+    """Make an evaluation set, images/ and masks/, of a published folder of images and masks.
+
+    A mask has the name of its image, with or without a word as _gt or mask_, in the same folder or in one
+    named gt, mask, label or ground_truth. Made for the Ground Truth of Power Line set of Yetgin and Gerek.
+
+    \b
+    Examples:
+      lsnet-pipe model import downloads/powerline_gt -o sets/powerline_gt
+      lsnet-pipe model eval sets/powerline_gt --paper
+    """
+    from lsnet.evaluation.conversion import convert_set, pairs_of
+
+    with progress_bar("import", len(pairs_of(source)[0])) as advance:
+        written, left_out = convert_set(source, output, on_image=advance)
+    without = f"; {left_out} images without a mask left out" if left_out else ""
+    typer.echo(f"{output}: {written} images{without}; next: lsnet-pipe model eval {output} --paper")

@@ -1,7 +1,7 @@
 """Evaluation sets on disk, recognised by their files.
 
 ID.jpg + ID.boundary.png    contours of each cable, one pixel wide (the PLDU and PLDM sets)
-images/ + masks/            a mask of the cables for each image
+images/ + masks/            a mask of the cables for each image: its name, also with _mask, _gt or _label
 anything else               images all with or all without lines: the share with a report is counted
 """
 
@@ -50,10 +50,7 @@ def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTru
     Raises:
         LSNetError: The file of the truth is missing or has another size.
     """
-    if kind == "contours":
-        path = image.with_name(f"{image.stem}.boundary.png")
-    else:
-        path = image.parent.parent / "masks" / f"{image.stem}.png"
+    path = image.with_name(f"{image.stem}.boundary.png") if kind == "contours" else _mask_of(image)
     try:
         drawn = np.asarray(load_rgb(path).max(axis=2) > 0)
     except LSNetError as err:
@@ -61,6 +58,14 @@ def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTru
     if drawn.shape != image_size:
         raise LSNetError(f"{path}: not the size of its image; give a truth as large as {image.name}")
     return _from_contours(drawn) if kind == "contours" else _from_mask(drawn)
+
+
+def _mask_of(image: Path) -> Path:
+    """Return the file of a mask: any image format; the image's name, also with _mask, _gt, _GT or _label."""
+    folder = image.parent.parent / "masks"
+    names = [image.stem, *(f"{image.stem}_{word}" for word in ("mask", "gt", "GT", "label"))]
+    files = (folder / f"{name}{suffix}" for name in names for suffix in (".png", *sorted(IMAGE_SUFFIXES)))
+    return next((file for file in files if file.is_file()), folder / f"{image.stem}.png")
 
 
 def _skeleton(mask: Mask) -> Mask:

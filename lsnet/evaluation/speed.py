@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+import torch
 
 from lsnet.detector import Detector
+from lsnet.errors import LSNetError
 from lsnet.evaluation.datasets import images_of
 from lsnet.images import load_rgb
+from lsnet.model import LSNet
+from lsnet.network_config import PRESETS
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
+from lsnet.weights import save_weights
+from lsnet.weights_file import WeightsCard
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from lsnet.arrays import ImageArray
     from lsnet.runtime.backend import Backend
 
@@ -43,9 +49,24 @@ class Speed:
         )
 
 
-def measure_speed(weights: str | Path, runtime: str, size: int, folder: Path | None, seconds: float) -> Speed:
+def open_untrained(preset: str, runtime: str) -> Detector:
+    """Return a detector of a preset with random weights, which takes as long as a trained one.
+
+    Raises:
+        LSNetError: The preset or the runtime is unknown or cannot be used.
+    """
+    if preset not in PRESETS:
+        raise LSNetError(f"no preset {preset!r}; choose one of {', '.join(PRESETS)}")
+    torch.manual_seed(0)
+    card = WeightsCard("untrained", preset, PRESETS[preset], min_score=0.5)
+    with TemporaryDirectory() as folder:
+        weights = Path(folder) / f"{preset}.safetensors"
+        save_weights(weights, LSNet(PRESETS[preset]), card)
+        return Detector.load(weights, runtime=runtime, scale=1.0)
+
+
+def measure_speed(detector: Detector, size: int, folder: Path | None, seconds: float) -> Speed:
     """Measure the frames per second over `seconds`, after a warm-up. Raises LSNetError."""
-    detector = Detector.load(weights, runtime=runtime, scale=1.0)
     images = _squares(folder, size)
     detector.detect(images[:BATCH])
     done, started = 0, time.perf_counter()

@@ -107,3 +107,12 @@ def test_a_missing_or_damaged_truth_is_named(tmp_path: Path, capfd: pytest.Captu
     with pytest.raises(LSNetError, match=r"7\.boundary\.png: missing or not an image"):
         load_truth("contours", image, (10, 10))
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", ["a.bmp", "a.png", "a_mask.png", "a_gt.tif", "a_GT.bmp", "a_label.png"])
+def test_masks_of_other_names_and_formats_are_read(tmp_path: Path, name: str) -> None:
+    image = write(tmp_path / "images/a.jpg", np.zeros((30, 40, 3)))
+    mask = np.zeros((30, 40))
+    mask[5:8] = 255
+    write(tmp_path / "masks" / name, mask)
+    assert load_truth("masks", image, (30, 40)).mask.sum() == 3 * 40

@@ -38,13 +38,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+MAX_MESSAGE = 1000  # characters
+
+
 class InspectError(Exception):
     """Base of all errors that users can meet; `str(error)` is one line."""
 
     exit_code: ClassVar[int] = 1
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(message))
+        super().__init__(shorten(printable(message)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle by attributes: `__init__` of subclasses takes other arguments than the message."""
@@ -54,6 +57,12 @@ class InspectError(Exception):
 def printable(text: str) -> str:
     """Return the text with a ? for each control character: names in damaged files can hold anything."""
     return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def shorten(text: str) -> str:
+    """Cut out the middle of what names in damaged files or a statement make too long to read."""
+    n_end = MAX_MESSAGE // 3  # with what to do
+    return text if len(text) <= MAX_MESSAGE else f"{text[: MAX_MESSAGE - n_end - 3]}...{text[-n_end:]}"
 
 
 def _unpickle(kind: type[InspectError], message: str, attributes: dict[str, Any]) -> InspectError:

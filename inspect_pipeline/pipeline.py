@@ -57,6 +57,7 @@ def process(
     run: RunRecord | None = None,
     *,
     on_progress: Callable[[Progress], object] = lambda _: None,
+    on_wait: Callable[[], object] = lambda: None,
 ) -> ProcessResult:
     """Detect the lines of a recording and write them to the store, completely or not at all.
 
@@ -71,6 +72,7 @@ def process(
         options: the cameras, frames and outputs.
         run: the run that the flight belongs to; by default one of its own.
         on_progress: called after every frame.
+        on_wait: called when another process works on this flight, before waiting for its end.
 
     Raises:
         RecordingError: the recording cannot be read, or has no camera.
@@ -91,7 +93,10 @@ def process(
     if known and _is_done(known, run, options):
         return _to_skipped(_to_result(known, path, store, started))
     detector = _load(detector)
-    with store.lock_flight(recording.flight_id), store.write_flight(recording.flight_id) as staging:
+    with (
+        store.lock_flight(recording.flight_id, on_wait),
+        store.write_flight(recording.flight_id) as staging,
+    ):
         known = store.load_flight(recording.flight_id)  # by a process that held the lock
         if known and _is_done(known, run, options):
             return _to_skipped(_to_result(known, path, store, started))

@@ -619,7 +619,7 @@ def test_the_suffix_decides_the_format_and_nothing_is_cut(
         assert text.count("x" * 200) == 1500
     assert (tmp_path / "t.csv").read_text().splitlines()[0] == "i,long"
     assert len(json.loads((tmp_path / "t.json").read_text())) == 1500
-    assert run("query", sql).out.endswith("(the first 1000 rows; a file gets all of them)\n")
+    assert run("query", sql).out.endswith("(1500 rows)\n")  # into a pipe
     assert (
         run("query", "SELECT flight_id FROM flights").out.splitlines()[2]
         == (run("flights", "list").out.splitlines()[1].split()[0])

@@ -228,7 +228,7 @@ def _print_summary(summary: RunSummary) -> None:
     counts = summary.counts
     n_given_up = counts.n_quarantined + counts.n_in_quarantine
     bad = f" ({counts.n_bad_frames:,} bad)" if counts.n_bad_frames else ""
-    failed = f" {counts.n_failed:,} failed," if counts.n_failed else ""
+    failed = f" {counts.n_failed:,} failed (a camera without a good image)," if counts.n_failed else ""
     print_line(
         f"{count_of(counts.n_found, 'recording')}: {counts.n_processed:,} processed,"
         f" {counts.n_skipped:,} done before,{failed} {n_given_up:,} in quarantine,"

@@ -35,7 +35,7 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise typer.BadParameter(f"{path}: {error.strerror or error}; check the name") from error
     except (ValueError, RecursionError) as error:
-        raise typer.BadParameter(f"{path}: not TOML ({str(error)[:200]})") from error
+        raise typer.BadParameter(f"{path}: not TOML ({str(error).partition(';')[0][:200]})") from error
 
 
 def _key(parameter: Any) -> str:

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from inspect_pipeline.errors import InspectError, printable
+from inspect_pipeline.errors import InspectError, printable, shorten
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_MAX_NOTE = 1000
 # The option that helps, by the class of the error, its bases included: libraries do not know of options.
 _OPTIONS = {
     "AnnotationChannelError": "--write none",
@@ -29,6 +28,11 @@ _OPTIONS = {
 def print_line(text: str) -> None:
     """Print a line of results; control characters in it, as of file names, become `?`."""
     typer.echo(printable(text))
+
+
+def note(text: str) -> None:
+    """Print what is good to know while a command runs."""
+    _print_note(f"note: {text}")
 
 
 def warn(text: str) -> None:
@@ -51,17 +55,12 @@ def report_error(error: Exception, subject: object = None) -> int | None:
         return None
     options = [_OPTIONS[kind.__name__] for kind in type(error).__mro__ if kind.__name__ in _OPTIONS]
     hint = f" ({options[0]})" if options else ""
-    _print_note(f"error: {_shorten(message)}{hint}")
+    _print_note(f"error: {shorten(message)}{hint}")
     return getattr(error, "exit_code", 1)
 
 
 def _print_note(text: str) -> None:
-    typer.echo(_shorten(printable(text)), err=True)
-
-
-def _shorten(text: str) -> str:
-    """Cut what a damaged file or a long statement makes too long to read."""
-    return text if len(text) <= _MAX_NOTE else f"{text[: _MAX_NOTE - 3]}..."
+    typer.echo(shorten(printable(text)), err=True)
 
 
 def report_usage(error: Exception) -> int | None:

@@ -32,7 +32,7 @@ from inspect_pipeline.commands.options import (
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
-from inspect_pipeline.commands.output import count_of, print_table, report_error, warn
+from inspect_pipeline.commands.output import count_of, note, print_table, report_error, warn
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.store.store import Store
 
 _VIEWER_NOTE = (
-    "note: viewers hide annotations at first; in the settings of the Image panel switch on the topics "
+    "viewers hide annotations at first; in the settings of the Image panel switch on the topics "
     "that end in /lsnet/annotations (eye) and Sync annotations"
 )
 
@@ -131,6 +131,7 @@ def process(
                 options,
                 run,
                 on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
+                on_wait=lambda: note(f"{path}: another process works on this flight; waiting for its end"),
             )
 
     results, n_failed, failure = _process_all(existing, process_one)
@@ -146,7 +147,7 @@ def process(
     _print_results(results, as_json=as_json)
     has_new_annotations = any(result.annotated and result.status != "skipped" for result in results)
     if has_new_annotations and not as_json and sys.stderr.isatty():
-        typer.echo(_VIEWER_NOTE, err=True)
+        note(_VIEWER_NOTE)
     raise typer.Exit(exit_code)
 
 
@@ -195,8 +196,8 @@ def _process_all(
 def _warn_about(result: ProcessResult) -> None:
     """Report what was lost of a recording, replaced in the store, and odd about it."""
     notes = [f"{result.status}: {result.reason}"] if result.reason else []
-    for note in (*notes, *result.warnings):
-        warn(f"{result.source}: {note}")
+    for text in (*notes, *result.warnings):
+        warn(f"{result.source}: {text}")
     if result.n_frames_replaced is not None and result.n_frames_replaced != result.n_frames:
         replaced = count_of(result.n_frames_replaced, "frame")
         warn(

@@ -39,7 +39,7 @@ _PRINTED_ROWS = 1000
 
 @dataclass(frozen=True, slots=True)
 class QueryLimits:
-    """What a query may use; `max_rows` limits tables: by default 1,000 rows, in a file none."""
+    """What a query may use; `max_rows` limits tables: by default 1,000 rows on a terminal."""
 
     timeout_s: float = 60.0
     memory_bytes: int = 512 << 20
@@ -119,8 +119,8 @@ def run_query(
 ) -> None:
     """Run one statement and write its rows to stdout or, whole or not at all, to the file `output`.
 
-    A table on stdout is cut to `limits.max_rows` rows and to the terminal. Raises the errors of `query`, and
-    QueryError for an output that cannot be written.
+    A table on stdout has shortened cells; on a terminal it is cut to its width and to `limits.max_rows` rows.
+    Raises the errors of `query`, and QueryError for an output that cannot be written.
     """
     if output is None and sys.stdout is None:
         raise QueryError("stdout is closed; write to a file")
@@ -139,7 +139,8 @@ def run_query(
             with path.open("rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)
     else:
-        job["max_rows"] = limits.max_rows or _PRINTED_ROWS
+        job["is_shortened"] = True
+        job["max_rows"] = limits.max_rows or (_PRINTED_ROWS if is_terminal else None)
         _run_child(job, limits.timeout_s, sys.stdout.buffer)
 
 
@@ -156,6 +157,7 @@ def _job(
         "allow_files": allow_files,
         "memory_bytes": limits.memory_bytes,
         "cpu_s": int(2 * limits.timeout_s) + 2,
+        "is_shortened": limits.max_rows is not None,
         "max_rows": limits.max_rows,
         "version": len(MIGRATIONS),
         "copy_path": "/dev/stdout",

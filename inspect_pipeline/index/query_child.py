@@ -131,7 +131,11 @@ def run_statement(connection: duckdb.DuckDBPyConnection, job: dict[str, Any]) ->
         write_json(select_objects(connection, source), sys.stdout)
     else:
         write_table(
-            select_texts(connection, source), sys.stdout, max_rows=job["max_rows"], width=job["width"]
+            select_texts(connection, source),
+            sys.stdout,
+            is_shortened=job["is_shortened"],
+            max_rows=job["max_rows"],
+            width=job["width"],
         )
 
 

@@ -41,19 +41,25 @@ def nan_to_null(text: str) -> str:
     return json.dumps(json.loads(text, parse_constant=lambda _: None), ensure_ascii=False)
 
 
-def write_table(rows: Rows, out: TextIO, *, max_rows: int | None = None, width: int | None = None) -> None:
+def write_table(
+    rows: Rows,
+    out: TextIO,
+    *,
+    is_shortened: bool = False,
+    max_rows: int | None = None,
+    width: int | None = None,
+) -> None:
     """Write rows in columns, numbers to the right, and how many there are.
 
     Args:
         rows: the rows.
         out: where to write.
-        max_rows: the most rows to print, where cells are cut too; None for a file, where nothing is.
+        is_shortened: shorten long cells, visibly, and sha256 ids; not for a file.
+        max_rows: the most rows to print; None for all.
         width: of the terminal in characters, None for no limit. Columns are cut to fit it, or each row is
             written as a block of lines.
     """
-    shown = [
-        [cell_lines(cell, is_cut=max_rows is not None) for cell in row] for row in islice(rows.rows, max_rows)
-    ]
+    shown = [[cell_lines(cell, is_cut=is_shortened) for cell in row] for row in islice(rows.rows, max_rows)]
     is_cut = max_rows is not None and next(rows.rows, None) is not None
     names = [cell_lines(name, is_cut=False) for name in rows.names]
     widths = [
@@ -67,7 +73,9 @@ def write_table(rows: Rows, out: TextIO, *, max_rows: int | None = None, width: 
         for row in (names, [["-" * each] for each in fitted], *shown):
             write_columns(row, fitted, is_number, out)
     noun = "row" if len(shown) == 1 else "rows"
-    count = f"the first {max_rows} rows; a file gets all of them" if is_cut else f"{len(shown)} {noun}"
+    count = (
+        f"the first {max_rows} rows; a file or a pipe gets all of them" if is_cut else f"{len(shown)} {noun}"
+    )
     out.write(f"({count})\n")
 
 

@@ -124,10 +124,13 @@ def find_damaged(
     files_of: Callable[[StoredFlight], Iterable[str]] = lambda flight: flight.row_files,
 ) -> list[DamagedFlight]:
     """Return the flights with a file, else with rows, whose checksum differs; raises OSError."""
-    found = ((flight, flight.check_content(files_of(flight))) for flight in flights)
-    return [
-        DamagedFlight(flight.folder, f"{problem}; {PROCESS_AGAIN}") for flight, problem in found if problem
-    ]
+    damaged = []
+    for flight in flights:
+        if problem := flight.check_content(files_of(flight)):
+            # Only rows are checked before a recording counts as done.
+            by_force = "" if flight.check_content(flight.row_files) else " with --force"
+            damaged.append(DamagedFlight(flight.folder, f"{problem}; {PROCESS_AGAIN}{by_force}"))
+    return damaged
 
 
 def find_unreadable(flights: list[StoredFlight]) -> list[DamagedFlight]:

@@ -77,7 +77,8 @@ def load_rules(path: Path | None = None) -> Rules:
         except OSError as error:
             raise RulesError(path, f"cannot be read ({error.strerror})", "check the name") from error
         except (ValueError, RecursionError) as error:  # TOML, UTF-8, very long numbers, deep nesting
-            raise RulesError(path, f"is not valid TOML ({error})", "correct it") from error
+            reason = str(error).partition(";")[0]
+            raise RulesError(path, f"is not valid TOML ({reason})", "correct it") from error
         _replace(values, own, path, ())
         _check_kinds(Rules(**values), path)
     return Rules(**values)

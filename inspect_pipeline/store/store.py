@@ -45,7 +45,9 @@ from inspect_pipeline.store.flight_folder import (
 from inspect_pipeline.store.records import ANNOTATED, FlightRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+_HOLDER = re.compile(r"pid \d+ since [\d :-]+ UTC")
 
 
 def store_path(option: Path | None) -> Path:
@@ -147,12 +149,19 @@ class Store:
         return flights, damaged
 
     @contextmanager
-    def lock_flight(self, flight_id: str) -> Iterator[None]:
-        """Keep other processes from working on a flight, waiting for one that does; raises StoreError."""
+    def lock_flight(self, flight_id: str, on_wait: Callable[[], object] = lambda: None) -> Iterator[None]:
+        """Keep other processes from working on a flight; raises StoreError.
+
+        Where one does, `on_wait` is called before waiting for its end.
+        """
         path = self._staging / f"{self.flight_dir(flight_id).name}.lock"
         with store_errors(self.root):
             self._staging.mkdir(parents=True, exist_ok=True)
-            lock = acquire_lock(path, wait=True)
+            try:
+                lock = acquire_lock(path, wait=False)
+            except BlockingIOError:
+                on_wait()
+                lock = acquire_lock(path, wait=True)
         with lock:
             try:
                 yield
@@ -251,8 +260,9 @@ class Store:
             try:
                 file = acquire_lock(path, wait=False)
             except BlockingIOError:
-                holder = path.read_text(encoding="utf-8", errors="replace").strip()
-                problem = f"held by another batch, {holder}"
+                text = path.read_text(encoding="utf-8", errors="replace").strip()
+                holder = f", {text}" if _HOLDER.fullmatch(text) else ""  # a power cut can tear it
+                problem = f"held by another batch{holder}"
                 raise StoreBusyError(self.root, problem, "wait until it ends") from None
         with file:
             file.truncate(0)

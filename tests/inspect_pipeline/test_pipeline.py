@@ -118,12 +118,17 @@ def test_done_is_not_done_again(tmp_path: Path, store: Store) -> None:
 def test_two_processes_of_one_recording_do_the_work_once(tmp_path: Path, store: Store) -> None:
     path = make_recording(tmp_path / "r.mcap", shots(5))
     detectors = [FakeDetector(), FakeDetector()]
+    waits: list[str] = []
     with ThreadPoolExecutor(2) as pool, store.lock_flight(open_recording(path).flight_id):
-        futures = [pool.submit(process, path, store, detector) for detector in detectors]
+        futures = [
+            pool.submit(process, path, store, detector, on_wait=lambda: waits.append("waits"))
+            for detector in detectors
+        ]
         time.sleep(0.3)
         assert not any(future.done() for future in futures)  # both wait for this thread's lock
     assert sorted(future.result().status for future in futures) == ["ok", "skipped"]
     assert sorted(sum(detector.batch_sizes) for detector in detectors) == [0, 5]
+    assert waits == ["waits", "waits"]
     assert [each.name for each in (store.root / "staging").iterdir()] == ["mutex"]
 
 

@@ -276,7 +276,7 @@ def test_a_damaged_annotated_copy_is_found(store: Store) -> None:
     path = store.flight_dir(flights.flight_id_of("a")) / "annotated.mcap"
     path.write_bytes(b"x" + path.read_bytes()[1:])
     assert verify(store) == (
-        f"{path.parent}: the checksum of annotated.mcap differs; process its recording again",
+        f"{path.parent}: the checksum of annotated.mcap differs; process its recording again with --force",
     )
     assert index.rebuild(store).damaged == ()  # its rows are whole
 

@@ -133,7 +133,7 @@ def test_a_long_table_is_cut_on_the_screen_only(
     text = capsysbinary.readouterr().out.decode()
     assert text.count("\n") == 13
     assert "…" in text
-    assert text.endswith("(the first 10 rows; a file gets all of them)\n")
+    assert text.endswith("(the first 10 rows; a file or a pipe gets all of them)\n")
     text = ask(sql, "table")
     assert text.count("x" * 200) == 5000
     assert text.endswith("(5000 rows)\n")

@@ -217,6 +217,9 @@ def test_batch_lock_names_its_holder_and_ends_with_it(store: Store) -> None:
     with pytest.raises(StoreBusyError, match=f"pid {child} since") as caught, store.batch_lock():
         pass
     assert caught.value.exit_code == 11
+    (store.root / "lock").write_bytes(b"\xff\xfe")  # torn by a power cut
+    with pytest.raises(StoreBusyError, match="held by another batch; wait"), store.batch_lock():
+        pass
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     with store.batch_lock():

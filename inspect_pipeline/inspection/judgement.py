@@ -22,6 +22,7 @@ OUTCOMES = (
     "conductors not measured",
     "wires aligned",
     "too few views",
+    "no conductor found",
     "too coarse",
     "not in view",
     *POSE_PROBLEMS,
@@ -29,7 +30,7 @@ OUTCOMES = (
 )
 JUDGED = OUTCOMES.index("judged")
 NOT_MEASURED = OUTCOMES.index("conductors not measured")
-_ALIGNED, _TOO_FEW, _TOO_COARSE, _NOT_IN_VIEW = range(2, 6)
+ALIGNED, TOO_FEW, NOT_FOUND, _TOO_COARSE, _NOT_IN_VIEW = range(2, 7)
 _NOT_NEAR = len(OUTCOMES) - 1
 
 
@@ -45,16 +46,16 @@ class SpanJudgement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpanOutcomes:
-    """Outcomes (B,) of the bins of a span for one camera, by kind of anomaly, as indices in OUTCOMES."""
+    """Shares (B, len(OUTCOMES)) of the conductors of each bin of a span with each outcome, by kind of anomaly."""
 
     axis: SpanAxis
-    by_kind: dict[str, Ints]
+    by_kind: dict[str, Floats]
 
 
 def judge_bins(
     axis: SpanAxis,
     is_judged: Mask,
-    views: tuple[Mask, Mask, Mask],
+    views: tuple[Mask, Mask],
     path_problems: tuple[Floats, Ints],
     rules: Rules,
 ) -> Ints:
@@ -63,16 +64,15 @@ def judge_bins(
     Args:
         axis: the span.
         is_judged: bins (B,) with enough evidence.
-        views: masks (N, B) of where a frame shows a bin, where too coarsely, where wires are aligned.
+        views: masks (N, B) of where a frame shows a bin, and where too coarsely.
         path_problems: positions (M, 2) of the camera, and the pose problem (M,) of each.
         rules: thresholds.
     """
-    shown, coarse, aligned = views
+    shown, coarse = views
     fine = shown & ~coarse
     outcome = _nearby_problems(axis, path_problems, rules)
     outcome[shown.any(axis=0)] = _TOO_COARSE
-    outcome[fine.any(axis=0)] = _TOO_FEW
-    outcome[(fine & aligned).any(axis=0)] = _ALIGNED
+    outcome[fine.any(axis=0)] = NOT_FOUND
     outcome[is_judged] = JUDGED
     return outcome
 
@@ -97,16 +97,16 @@ def _nearby_problems(axis: SpanAxis, path_problems: tuple[Floats, Ints], rules: 
 def merge_outcomes(by_camera: Sequence[Sequence[SpanOutcomes]]) -> list[SpanJudgement]:
     """Return the metres of each outcome by span and rule. Over cameras, the best outcome of a bin counts."""
     axes = {one.axis.span_id: one.axis for outcomes in by_camera for one in outcomes}
-    best: dict[tuple[str, str], Ints] = {}
+    best: dict[tuple[str, str], Floats] = {}
+    rank = np.arange(len(OUTCOMES))
     for one in (one for outcomes in by_camera for one in outcomes):
-        for kind, outcome in one.by_kind.items():
+        for kind, shares in one.by_kind.items():
             key = one.axis.span_id, kind
-            best[key] = np.minimum(best.get(key, outcome), outcome)
-    rows = []
-    for (span_id, kind), outcome in best.items():
-        counts = np.bincount(outcome, minlength=len(OUTCOMES))
-        rows += [
-            SpanJudgement(span_id, kind, OUTCOMES[i], float(counts[i] * axes[span_id].bin_m))
-            for i in np.flatnonzero(counts).tolist()
-        ]
-    return rows
+            known = best.get(key, shares)
+            is_better = (shares @ rank < known @ rank)[:, np.newaxis]
+            best[key] = np.where(is_better, shares, known)
+    return [
+        SpanJudgement(span_id, kind, OUTCOMES[i], round(float(shares[:, i].sum() * axes[span_id].bin_m), 6))
+        for (span_id, kind), shares in best.items()
+        for i in np.flatnonzero(shares.any(axis=0)).tolist()
+    ]

@@ -25,13 +25,15 @@ POSE_PROBLEMS = (
     "position unknown",
 )
 NO_PROBLEM = -1
+_MIN_NOISE_M, _MEDIAN_TO_SD = 0.3, 0.826  # of single positions; of the middle of three, 0.6745 * sqrt(1.5)
+_HALF_WINDOW_S, _MIN_SMOOTHED = 4.0, 5
 
 
 def camera_poses(frames: FrameRows, origin: LocalMetres, rules: Rules) -> CameraPoses:
     """Return the poses of all frames, with NaN positions where attitude is assumed or the pose too old."""
     is_old = ~frames.is_turn_known | (frames.pose_age_ms > rules.coverage["max_pose_age_ms"])
     ground = origin.to_metres(frames.lat_deg, frames.lon_deg)
-    positions = np.column_stack((ground, frames.height_m))
+    positions = smooth_positions(np.column_stack((ground, frames.height_m)), frames.times_s)
     positions[is_old] = np.nan
     return CameraPoses(
         positions=positions,
@@ -39,6 +41,31 @@ def camera_poses(frames: FrameRows, origin: LocalMetres, rules: Rules) -> Camera
         focal_px=frames.focal_px.astype(np.float64),
         sizes=np.column_stack((frames.width, frames.height)).astype(np.float64),
     )
+
+
+def smooth_positions(positions: Floats, times_s: Floats) -> Floats:
+    """Return positions (N, 3) without the white noise of single fixes, where there is evidently much of it.
+
+    The noise is measured between neighbours in time, which a drone cannot reach by flying. Each position
+    becomes that of a parabola fitted to those of some seconds around it.
+    """
+    known = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    smooth = positions.copy()
+    if len(known) < _MIN_SMOOTHED:
+        return smooth
+    t, p = times_s[known], positions[known]
+    before, after = t[1:-1] - t[:-2], t[2:] - t[1:-1]
+    share = before / np.maximum(before + after, 1e-9)
+    off_m = p[1:-1] - (p[:-2] + share[:, np.newaxis] * (p[2:] - p[:-2]))
+    noise_m = np.median(np.abs(off_m), axis=0) / _MEDIAN_TO_SD
+    if noise_m.max() < _MIN_NOISE_M:
+        return smooth
+    half_s = max(_HALF_WINDOW_S, _MIN_SMOOTHED * float(np.median(np.diff(t))) / 2)
+    first, stop = np.searchsorted(t, t - half_s), np.searchsorted(t, t + half_s, side="right")
+    for i, (low, high) in enumerate(zip(first.tolist(), stop.tolist(), strict=True)):
+        if high - low >= _MIN_SMOOTHED:
+            smooth[known[i]] = np.polynomial.polynomial.polyfit(t[low:high] - t[i], p[low:high], 2)[0]
+    return smooth
 
 
 def find_pose_problems(frames: FrameRows, is_usable: Mask, rules: Rules) -> Ints:

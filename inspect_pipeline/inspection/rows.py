@@ -97,6 +97,10 @@ class LineRows:
         low, high = np.searchsorted(self.frame, (start, stop)).tolist()
         return self.take(np.arange(low, high))
 
+    def with_frames(self, frame: Ints) -> LineRows:
+        """Return the same lines with other frame rows."""
+        return replace(self, frame=frame, source_frame=None)
+
     def shift_frames(self, offset: int) -> LineRows:
         """Return the same lines with `offset` added to their frame rows."""
         source = None if self.source_frame is None else self.source_frame + offset

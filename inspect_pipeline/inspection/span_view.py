@@ -1,6 +1,6 @@
-"""Views of a span: image lines projected into the plane of its conductors, in metres along and across.
+"""Views of a span: image lines projected to the nominal height of its conductors, in metres along and across.
 
-All lines are projected to the mean height of the conductors. One that hangs lower appears farther from the
+That is the chord between the structures less an assumed sag. A line that hangs lower appears farther from the
 camera there, one that hangs higher nearer.
 """
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _CELLS_AT_A_TIME = 1 << 18  # frames times points, to bound memory
 _POINTS_AT_A_TIME = 64  # neighbours, visible in few frames
+_SAG_ITERATIONS = 3  # of where a line of sight meets a conductor that sags
 _SLACK_M = 1e-3  # well above rounding errors
 
 
@@ -31,7 +32,7 @@ _SLACK_M = 1e-3  # well above rounding errors
 class SpanAxis:
     """Axis of a span in local metres, divided into bins with centres `centres` (B, 3).
 
-    along, across: horizontal unit vectors (2,).
+    along, across: horizontal unit vectors (2,). chord_m (B,): height of the chord between the structures.
     """
 
     span_id: str
@@ -42,6 +43,7 @@ class SpanAxis:
     bin_m: float
     height_m: float
     centres: Floats
+    chord_m: Floats
     expected_conductors: int | None
 
     @property
@@ -92,7 +94,7 @@ def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
     heights = [limits["default_height_m"] if h is None else h for h in (span.from_height_m, span.to_height_m)]
     drops = 4 * limits["sag_share"] * length_m * shares * (1 - shares)
     centres = start + shares[:, np.newaxis] * (end - start)
-    z = heights[0] + shares * (heights[1] - heights[0]) - drops
+    chord_m = heights[0] + shares * (heights[1] - heights[0])
     return SpanAxis(
         span_id=span.span_id,
         start=start,
@@ -101,7 +103,8 @@ def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
         length_m=length_m,
         bin_m=length_m / n_bins,
         height_m=sum(heights) / 2,
-        centres=np.column_stack((centres, z)),
+        centres=np.column_stack((centres, chord_m - drops)),
+        chord_m=chord_m,
         expected_conductors=span.expected_conductors,
     )
 
@@ -168,12 +171,19 @@ def view_span(
 
 
 def project_to_plane(axis: SpanAxis, cameras: CameraPoses, lines: LineRows) -> Floats:
-    """Project line points into the plane: metres along and across (P, 2), NaN above the camera."""
+    """Project line points to the nominal height of the conductors: metres along and across (P, 2).
+
+    NaN above the camera.
+    """
     owner = np.repeat(lines.detected_in, np.diff(lines.first))
+    height_m: Floats | float = axis.height_m
     with np.errstate(invalid="ignore", divide="ignore"):
         rays = cameras.rays(owner, lines.points)
-        reach = (axis.height_m - cameras.positions[owner, 2]) / rays[:, 2]
-        ground = cameras.positions[owner, :2] + reach[:, np.newaxis] * rays[:, :2] - axis.start
+        for _ in range(_SAG_ITERATIONS):
+            reach = (height_m - cameras.positions[owner, 2]) / rays[:, 2]
+            ground = cameras.positions[owner, :2] + reach[:, np.newaxis] * rays[:, :2] - axis.start
+            along_m = ground @ axis.along
+            height_m = np.interp(along_m, axis.bins_m, axis.centres[:, 2])
         ground[~(reach > 0)] = np.nan
     return np.column_stack((ground @ axis.along, ground @ axis.across))
 

@@ -21,6 +21,7 @@ _MIDDLE_SHARE = (0.3, 0.7)  # of a span: where stretches begin or lie
 _GAP_M = (3.0, 5.0)
 _EXTRA_SAG_M = (1.4, 2.4)
 _CLOSE_SHARE = 0.85  # of the distance between two conductors is lost
+_MAX_NEIGHBOUR_M = 4.0
 _CROSSING_RAD = np.deg2rad((40, 90))
 _STRUCK_S = (2.0, 4.0)  # how long frames are struck
 _AMOUNTS = {FaultKind.CLOCK_STEP: (0.7, 5.0), FaultKind.ORIENTATION_JUMP: (0.4, 0.6)}  # s, rad
@@ -72,8 +73,9 @@ def _plant(
         changed = cross(line, from_x + rng.uniform(*_MIDDLE_SHARE) * SPAN_M, rng.uniform(*_CROSSING_RAD))
         foreign = changed.foreign[-1]
         return changed, PlantedFault(kind, span, (foreign.conductor_id,), foreign.points)
-    n_phases = max(1, len(line.conductors) - 2)  # whose next conductor is a phase too, where there are two
-    number = int(rng.integers(n_phases))
+    numbers = _with_neighbours(line) if kind == FaultKind.CONDUCTORS_TOO_CLOSE else None
+    numbers = numbers or list(range(max(1, len(line.conductors) - 2)))
+    number = numbers[int(rng.integers(len(numbers)))]
     conductor, neighbour = line.conductors[number : number + 2]
     name, points = conductor.conductor_id, conductor.points
     along = (points[:, 0] - from_x) / SPAN_M
@@ -93,6 +95,17 @@ def _plant(
     first, last = _absent_stretch(kind, rng)
     changed = remove_stretch(line, name, from_x + first * SPAN_M, from_x + last * SPAN_M)
     return changed, PlantedFault(kind, span, (name,), points[(along >= first) & (along <= last)])
+
+
+def _with_neighbours(line: PowerLine) -> list[int]:
+    """Return the numbers of the conductors whose next one is of another phase, and not far away."""
+    pairs = zip(line.conductors, line.conductors[1:-1], strict=False)  # the last is the neutral
+    return [
+        number
+        for number, (one, other) in enumerate(pairs)
+        if one.conductor_id[:2] != other.conductor_id[:2]
+        and np.linalg.norm(one.points[0] - other.points[0]) < _MAX_NEIGHBOUR_M
+    ]
 
 
 def _absent_stretch(kind: FaultKind, rng: np.random.Generator) -> tuple[float, float]:

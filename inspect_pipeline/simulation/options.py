@@ -69,6 +69,10 @@ class SimulationOptions:
             flight.
         n_phases: conductors beside each other; a neutral hangs below them.
         n_bundle: wires of each phase.
+        n_circuits: with 2, the phases of each hang below each other on either side.
+        position_noise_m: standard deviation of each recorded position, on each axis.
+        drift_m: amplitude of a slow error of positions, on each axis.
+        attitude_noise_deg: standard deviation of each recorded angle of the camera.
         faults: planted once for each time they are named.
         schema: of the messages.
         ground: a photograph from above to use as the ground; None draws it.
@@ -83,6 +87,10 @@ class SimulationOptions:
     n_structures: int | None = None
     n_phases: int = 3
     n_bundle: int = 1
+    n_circuits: int = 1
+    position_noise_m: float = 0.0
+    drift_m: float = 0.0
+    attitude_noise_deg: float = 0.0
     faults: tuple[FaultKind, ...] = ()
     schema: SchemaKind = SchemaKind.FOXGLOVE
     ground: Path | None = None

@@ -23,12 +23,16 @@ _LOSS_RAD, _LOSS_SHARE, _LOSS_TURN_S = np.deg2rad(-75), (0.4, 0.6), 1.0
 
 @dataclass(frozen=True, slots=True)
 class DronePose:
-    """The drone's position in m and its camera's direction; yaw and heading are turned left from x."""
+    """The drone's position in m and its camera's direction.
+
+    Yaw and heading are turned left from x, the roll to the right.
+    """
 
     position: tuple[float, float, float]
     heading_rad: float
     yaw_rad: float
     pitch_rad: float  # downwards
+    roll_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import numpy as np
 from inspect_pipeline.simulation.faults import plant_faults, schedule_faults
 from inspect_pipeline.simulation.options import LINE_FAULTS, FaultKind, FlightKind
 from inspect_pipeline.simulation.path import SPEED_M_S, Path
+from inspect_pipeline.simulation.pose_noise import disturb_pose
 from inspect_pipeline.simulation.power_line import SPAN_M, PowerLine, hang_line
 from inspect_pipeline.simulation.scene import Gaze, look, near
 
@@ -79,6 +80,10 @@ class FlightPlan:
         """Return the pose of the drone and its camera at a time."""
         return self.path.at(time_ns / 1e9)
 
+    def recorded_pose(self, time_ns: int) -> DronePose:
+        """Return the pose that is recorded at a time, with its errors."""
+        return disturb_pose(self.pose(time_ns), time_ns, self.options)
+
     def camera(self, time_ns: int) -> SimulatedCamera:
         """Return the camera at a time, rolled where it slipped in its mount (the pose is not)."""
         pose = self.pose(time_ns)
@@ -121,7 +126,9 @@ def plan_flight(options: SimulationOptions) -> FlightPlan:
     """Plan a flight by its options. Raises ValueError for an impossible line."""
     rng = np.random.default_rng([options.seed, 1])
     n_structures = options.n_structures or _n_passed(options)
-    line = hang_line(_FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle)
+    line = hang_line(
+        _FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle, options.n_circuits
+    )
     raised_m = _RAISED_SHARE * max(0.0, line.half_width_m - _USUAL_HALF_M)
     path = Path(options.flight, options.seconds, raised_m, rng.uniform(0, 2 * np.pi, 4))
     azimuth_deg = float(rng.uniform(0, 360))

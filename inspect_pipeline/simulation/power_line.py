@@ -21,6 +21,7 @@ SAMPLE_M = 0.25
 _SAG_M = 1.1
 _SPACING_M, _BUNDLE_M = 1.6, 0.4
 _ARM_M, _RAISED_M = 12.3, 0.6  # where phases hang; the middle one of three hangs higher
+_CIRCUIT_HALF_M, _TOP_ARM_M, _ARM_APART_M = 3.0, 15.0, 2.2  # of two circuits
 _NEUTRAL_Y_Z_M = (0.35, 9.2)
 _PHASE_DIAMETER_M, _NEUTRAL_DIAMETER_M = 0.045, 0.06
 _FOREIGN_Z_M, _FOREIGN_HALF_M, _FOREIGN_DIAMETER_M = 6.5, 40.0, 0.045
@@ -76,7 +77,9 @@ class PowerLine:
         return np.clip(numbers, 0, self.n_structures - 2)
 
 
-def hang_line(first: int, n_structures: int, n_phases: int, n_bundle: int) -> PowerLine:
+def hang_line(
+    first: int, n_structures: int, n_phases: int, n_bundle: int, n_circuits: int = 1
+) -> PowerLine:
     """A line without faults; raises ValueError for fewer than two structures or one phase or wire."""
     if n_structures < 2 or n_phases < 1 or n_bundle < 1:
         raise ValueError("a line has at least two structures, a phase and a wire in its bundle")
@@ -93,19 +96,27 @@ def hang_line(first: int, n_structures: int, n_phases: int, n_bundle: int) -> Po
                 np.ones(len(x), bool),
                 place.diameter_m,
             )
-            for place in _attachments(n_phases, n_bundle)
+            for place in _attachments(n_phases, n_bundle, n_circuits)
         ),
     )
 
 
-def _attachments(n_phases: int, n_bundle: int) -> list[Attachment]:
-    """Phases L1, L2, ... from right to left, each of wires a, b, ...; the neutral N below them."""
+def _attachments(n_phases: int, n_bundle: int, n_circuits: int) -> list[Attachment]:
+    """Phases L1, L2, ... from right to left, each of wires a, b, ...; the neutral N below them.
+
+    With two circuits the phases of each hang below each other, those of the first to the right.
+    """
+    spacing_m = _SPACING_M + 2 * _BUNDLE_M * (n_bundle - 1)
     places = []
-    for phase in range(n_phases):
-        y = (phase - (n_phases - 1) / 2) * _SPACING_M
-        z = _ARM_M + (_RAISED_M if n_phases == 3 and phase == 1 else 0.0)
+    for number in range(n_circuits * n_phases):
+        circuit, phase = divmod(number, n_phases)
+        y, z = (phase - (n_phases - 1) / 2) * spacing_m, _ARM_M
+        if n_circuits > 1:
+            y, z = (2 * circuit - 1) * _CIRCUIT_HALF_M, _TOP_ARM_M - phase * _ARM_APART_M
+        elif n_phases == 3 and phase == 1:
+            z += _RAISED_M
         for wire in range(n_bundle):
-            name = f"L{phase + 1}" + (chr(ord("a") + wire) if n_bundle > 1 else "")
+            name = f"L{number + 1}" + (chr(ord("a") + wire) if n_bundle > 1 else "")
             shift = (wire - (n_bundle - 1) / 2) * _BUNDLE_M
             places.append(Attachment(name, y + shift, z, _PHASE_DIAMETER_M))
     return [*places, Attachment("N", *_NEUTRAL_Y_Z_M, _NEUTRAL_DIAMETER_M)]

@@ -96,8 +96,8 @@ def _frame(
 ) -> FrameTruth:
     i = bisect_right(position_times_ns, shot.time_ns) - 1
     fixed_ns = position_times_ns[max(i, 0)]
-    lat_deg, lon_deg, alt_m = to_geodetic(plan, np.array(plan.pose(fixed_ns).position))
-    turned = plan.pose(shot.time_ns - shot.time_ns % POSE_PERIOD_NS)
+    lat_deg, lon_deg, alt_m = to_geodetic(plan, np.array(plan.recorded_pose(fixed_ns).position))
+    turned = plan.recorded_pose(shot.time_ns - shot.time_ns % POSE_PERIOD_NS)
     quality = _quality(plan, shot)
     rng = np.random.default_rng([plan.options.seed, 2, shot.number])
     sharpness, mean_luma = _MEASURES[quality] * rng.uniform(0.95, 1.05, 2)
@@ -112,7 +112,7 @@ def _frame(
         heading_deg=compass_deg(plan, turned.heading_rad),
         cam_yaw_deg=compass_deg(plan, turned.yaw_rad),
         cam_pitch_deg=-float(np.rad2deg(turned.pitch_rad)),
-        cam_roll_deg=0.0,
+        cam_roll_deg=float(np.rad2deg(turned.roll_rad)),
         pose_age_ms=(shot.time_ns - fixed_ns) / 1e6 if i >= 0 else None,
         image_size=camera.image_size,
         focal_px=camera.focal_px,

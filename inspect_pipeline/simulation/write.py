@@ -161,7 +161,7 @@ def _write_calibration(author: Author, topic: str, frame: FrameTruth, camera: Si
 
 
 def _write_location(author: Author, topic: str, plan: FlightPlan, time_ns: int) -> None:
-    latitude_deg, longitude_deg, altitude_m = to_geodetic(plan, np.array(plan.pose(time_ns).position))
+    latitude_deg, longitude_deg, altitude_m = to_geodetic(plan, np.array(plan.recorded_pose(time_ns).position))
     author.write_location(
         topic,
         START_NS + time_ns,
@@ -173,15 +173,15 @@ def _write_location(author: Author, topic: str, plan: FlightPlan, time_ns: int) 
 
 
 def _write_attitudes(author: Author, topics: _Topics, plan: FlightPlan, time_ns: int) -> None:
-    pose = plan.pose(time_ns)
+    pose = plan.recorded_pose(time_ns)
     x, y, above_m = pose.position
     place_m = (*to_east_north(plan, x, y), above_m)
-    for topic, child, yaw_rad, down_rad in (
-        (topics.vehicle, "base_link", pose.heading_rad, 0.0),
-        (topics.camera, "camera_link", pose.yaw_rad, pose.pitch_rad),
+    for topic, child, yaw_rad, down_rad, roll_rad in (
+        (topics.vehicle, "base_link", pose.heading_rad, 0.0, 0.0),
+        (topics.camera, "camera_link", pose.yaw_rad, pose.pitch_rad, pose.roll_rad),
     ):
         east_yaw_rad = np.deg2rad(90 - compass_deg(plan, yaw_rad))
         # Its own way to a quaternion in ENU: the code that reads it is judged by what is written here.
-        qx, qy, qz, qw = Rotation.from_euler("ZYX", (east_yaw_rad, down_rad, 0.0)).as_quat().tolist()
+        qx, qy, qz, qw = Rotation.from_euler("ZYX", (east_yaw_rad, down_rad, roll_rad)).as_quat().tolist()
         rotation = Quaternion(qw, qx, qy, qz)
         author.write_attitude(topic, START_NS + time_ns, "map", child, rotation, translation_m=place_m)

@@ -66,19 +66,28 @@ class LinesOfSight:
 
 
 def conductor_tracks(one: SpanEvidence, rules: Rules) -> list[ConductorTrack]:
-    """Return the tracks along a span, with the sag of those visible along enough of it."""
-    view, axis = one.view, one.axis
-    tracks = one.lines_track[view.line]
+    """Return the conductors of a span, and tracks that belong to none, with the sag of those visible enough."""
+    view, axis = one.sight.view, one.axis
+    groups = _group_lines(one)[view.line]
     lines_of_sight = _lines_of_sight(one)
     conductors = []
-    for track in np.unique(tracks).tolist():
-        own = tracks == track
+    for group in np.unique(groups).tolist():
+        own = groups == group
+        track = int(np.median(one.sight.lines.track[view.line[own]]))
         visible_m = len(np.unique(view.bin[own])) * axis.bin_m
         is_enough = visible_m >= rules.of("sag_change")["min_share"] * axis.length_m
         fit = _fit_sag(lines_of_sight.select(own), axis.length_m) if is_enough else (np.nan, np.nan)
         keys, once = np.unique(view.frame[own] * len(axis.centres) + view.bin[own], return_index=True)
         conductors.append(ConductorTrack(track, keys, view.across_m[own][once], *fit))
     return conductors
+
+
+def _group_lines(one: SpanEvidence) -> Ints:
+    """Return a number (L,) for each line: of its conductor, else of its track."""
+    _, by_track = np.unique(one.sight.lines.track, return_inverse=True)
+    if one.votes is None:
+        return by_track
+    return np.where(one.votes.owner >= 0, one.votes.owner, len(one.places) + by_track)
 
 
 def _distances_m(first: ConductorTrack, second: ConductorTrack, n_bins: int, rules: Rules) -> Floats:
@@ -89,15 +98,13 @@ def _distances_m(first: ConductorTrack, second: ConductorTrack, n_bins: int, rul
 
 def _lines_of_sight(one: SpanEvidence) -> LinesOfSight:
     """Return the line of sight of each crossing of a view."""
-    axis, view = one.axis, one.view
-    positions = one.cameras.positions[view.frame]
-    ground = positions[:, :2] - axis.start
-    side_m, above_m = ground @ axis.across, positions[:, 2] - axis.height_m
-    from_m = ground @ axis.along
+    axis, view = one.axis, one.sight.view
+    from_m, side_m = one.sight.from_m[view.frame], one.sight.side_m[view.frame]
+    above_m = one.sight.above_m[view.frame, view.bin]  # above the nominal conductor, which sags
     return LinesOfSight(
         from_m=from_m,
         side_m=side_m,
-        above_m=above_m,
+        above_m=above_m + (axis.centres[view.bin, 2] - axis.chord_m[view.bin]),
         ahead=(axis.bins_m[view.bin] - from_m) / above_m,
         slope=(view.across_m - side_m) / above_m,
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from inspect_pipeline.inspection.poses import find_origin
 from inspect_pipeline.inspection.rows import assess_frames
-from inspect_pipeline.inspection.span_evidence import evidence_lines, gather_evidence
+from inspect_pipeline.inspection.span_evidence import PRESENT, evidence_lines, gather_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -42,10 +42,10 @@ def count_conductors(camera: CameraRows, spans: Sequence[Span], rules: Rules) ->
     yield _smooth(None, camera, np.where(usable & (in_image > 0), in_image, np.nan))
     origin = find_origin([camera])
     for one in gather_evidence(camera, spans, origin, usable, rules) if origin else ():
-        shown = np.isfinite(one.counts).any(axis=1)
-        if np.isfinite(one.level).any():
+        if one.votes is not None and (one.states == PRESENT).any():
+            n_found = one.votes.in_frame.sum(axis=1)
             in_frame = np.full(len(usable), np.nan)
-            in_frame[one.first_row + np.flatnonzero(shown)] = np.nanmedian(one.counts[shown], axis=1)
+            in_frame[one.sight.rows] = np.where(n_found > 0, n_found, np.nan)
             yield _smooth(one.axis.span_id, camera, in_frame)
 
 

@@ -95,7 +95,7 @@ def inspect_cameras(cameras: Sequence[CameraRows], spans: Sequence[Span], rules:
         findings = [one for rule in (*FRAME_RULES, *LINE_RULES) for one in rule(camera, quality, rules)]
         if origin is not None:
             usable = quality.usable & _before_jumps(camera.frames, findings)
-            evidence = list(gather_evidence(camera, spans, origin, usable, rules))
+            evidence = gather_evidence(camera, spans, origin, usable, rules)
             judged.append(find_on_spans(evidence, origin, rules))
             findings += judged[-1].findings
         anomalies += [

@@ -15,20 +15,33 @@ from inspect_pipeline.inspection.anomalies.conductors import (
     find_sag_changes,
     measured_sag,
 )
-from inspect_pipeline.inspection.anomalies.spans import find_count_changes, inner_bins, usual_count
-from inspect_pipeline.inspection.judgement import JUDGED, NOT_MEASURED, SpanOutcomes
+from inspect_pipeline.inspection.anomalies.spans import (
+    find_count_changes,
+    inner_bins,
+    missing_conductors,
+    usual_count,
+)
+from inspect_pipeline.inspection.judgement import (
+    ALIGNED,
+    JUDGED,
+    NOT_MEASURED,
+    OUTCOMES,
+    TOO_FEW,
+    SpanOutcomes,
+)
+from inspect_pipeline.inspection.span_evidence import UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from inspect_pipeline.arrays import Mask
+    from inspect_pipeline.arrays import Floats, Mask
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.anomalies.conductors import ConductorTrack
     from inspect_pipeline.inspection.anomalies.frames import Finding
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
-COUNT_KINDS = ("conductor_count", "conductor_lost", "conductor_gap")
+_HIDDEN_SHARE = 0.5  # of the frames that show a bin, from which on its conductor is hidden by another
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +54,7 @@ class ConductorFindings:
 
 def find_on_spans(evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: Rules) -> ConductorFindings:
     """Apply all rules about conductors to the spans near the path of a camera."""
-    usual = usual_count([one.level for one in evidence])
+    usual = usual_count(evidence, rules)
     findings: list[Finding] = []
     outcomes: list[SpanOutcomes] = []
     for one in evidence:
@@ -52,28 +65,63 @@ def find_on_spans(evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: 
         # A conductor that sags may also appear closer to a neighbour: report it once.
         sagging = list(find_sag_changes(one, conductors, origin, rules))
         findings += sagging or find_converging(one, conductors, origin, rules)
-        outcomes.append(_outcomes(one, conductors, rules))
+        outcomes.append(_outcomes(one, expected, conductors, rules))
     return ConductorFindings(findings, outcomes)
 
 
-def _outcomes(one: SpanEvidence, conductors: Sequence[ConductorTrack], rules: Rules) -> SpanOutcomes:
+def _outcomes(
+    one: SpanEvidence, expected: int, conductors: Sequence[ConductorTrack], rules: Rules
+) -> SpanOutcomes:
     """Return the outcome of each bin by each rule. Bins next to structures have that of the nearest other."""
+    shares = _count_outcomes(one, expected)
     inner = np.flatnonzero(inner_bins(one, rules))
     if len(inner):
-        nearest = np.clip(np.arange(len(one.outcome)), inner[0], inner[-1])
-        counted = one.outcome[nearest]
-    else:
-        counted = one.outcome
-
-    def measured(mask: Mask) -> np.ndarray:
-        return np.where(mask, JUDGED, np.where(counted == JUDGED, NOT_MEASURED, counted))
-
-    has_sag = np.full(len(counted), len(measured_sag(conductors)) >= MIN_SAGS)
+        shares = shares[np.clip(np.arange(len(shares)), inner[0], inner[-1])]
+    counted = shares
+    if len(one.places) < expected and not len(missing_conductors(one, rules)):
+        # One that no span shows: missing everywhere, or always behind another.
+        counted = _move(shares, JUDGED, ALIGNED)
+    has_sag = np.full(len(shares), len(measured_sag(conductors)) >= MIN_SAGS)
     return SpanOutcomes(
         one.axis,
-        dict.fromkeys(COUNT_KINDS, counted)
-        | {
-            "sag_change": measured(has_sag),
-            "conductors_converging": measured(compared_bins(one, conductors, rules)),
+        {
+            "conductor_count": counted,
+            "conductor_lost": shares,
+            "conductor_gap": shares,
+            "sag_change": _measured(shares, has_sag),
+            "conductors_converging": _measured(shares, compared_bins(one, conductors, rules)),
         },
     )
+
+
+def _count_outcomes(one: SpanEvidence, expected: int) -> Floats:
+    """Return shares (B, len(OUTCOMES)) of the expected conductors by how they could be judged."""
+    n_bins, n_places = len(one.outcome), len(one.places)
+    shares = np.zeros((n_bins, len(OUTCOMES)))
+    shares[np.arange(n_bins), one.outcome] = 1.0
+    if one.votes is None:
+        return shares
+    is_known = one.states != UNKNOWN
+    is_hidden = ~is_known & (one.votes.hidden >= _HIDDEN_SHARE)
+    n_all = max(expected, n_places)
+    in_view = one.sight.fine.any(axis=0)
+    shares[in_view] = 0.0
+    shares[in_view, JUDGED] = is_known.sum(axis=0)[in_view] / n_all
+    shares[in_view, ALIGNED] = (is_hidden.sum(axis=0)[in_view] + n_all - n_places) / n_all
+    shares[in_view, TOO_FEW] = (~is_known & ~is_hidden).sum(axis=0)[in_view] / n_all
+    return shares
+
+
+def _measured(shares: Floats, mask: Mask) -> Floats:
+    """Return all of a bin as judged where `mask` (B,); else what was counted is not measured."""
+    measured = _move(shares, JUDGED, NOT_MEASURED)
+    measured[mask] = 0.0
+    measured[mask, JUDGED] = 1.0
+    return measured
+
+
+def _move(shares: Floats, source: int, target: int) -> Floats:
+    moved = shares.copy()
+    moved[:, target] += moved[:, source]
+    moved[:, source] = 0.0
+    return moved

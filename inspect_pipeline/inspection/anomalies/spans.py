@@ -1,4 +1,4 @@
-"""Rules about the number of conductors of a span, bin by bin over all frames that show it."""
+"""Rules about the conductors that a span has: missing ones, ones that end, gaps, and too many."""
 
 from __future__ import annotations
 
@@ -8,45 +8,33 @@ import numpy as np
 
 from inspect_pipeline.inspection.anomalies.frames import Finding
 from inspect_pipeline.inspection.rows import find_runs
+from inspect_pipeline.inspection.span_evidence import ABSENT, PRESENT, UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.arrays import Ints, Mask
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
 
 _TRACK_START_FRAMES = 5  # until all lines of a new view have their tracks
+_MIN_PRESENT_SHARE = 0.3  # of what is known of a conductor, from which on a span has it
 
 
-def usual_count(levels: Sequence[Floats]) -> int:
-    """Return the most frequent number of conductors over all bins of a flight, 0 when none is known."""
-    known = np.concatenate([level[np.isfinite(level)] for level in levels]) if levels else np.zeros(0)
-    known = known[known > 0].astype(np.int64)
-    return int(np.bincount(known).argmax()) if len(known) else 0
+def usual_count(evidence: Sequence[SpanEvidence], rules: Rules) -> int:
+    """Return the most frequent number of conductors of the spans of a flight, 0 when none is known."""
+    numbers = [int(_has_conductors(one, rules).sum()) for one in evidence]
+    known = [number for number in numbers if number]
+    return max(sorted(set(known), reverse=True), key=known.count, default=0)
 
 
-def find_count_changes(
-    one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules
-) -> Iterator[Finding]:
-    """Find stretches of a span with fewer or more conductors than expected."""
-    known = np.flatnonzero(inner_bins(one, rules) & np.isfinite(one.level))
-    if not len(known):
-        return
-    limits, bin_m = rules.of("conductor_count"), one.axis.bin_m
-    bridged = rules.anomalies["bridged_m"] / bin_m
-    for mask in (_close_gaps(one.level[known] < expected, bridged), one.level[known] > expected):
-        is_long = mask.sum() * bin_m >= limits["min_length_m"]
-        if (
-            is_long
-            and mask.mean() >= limits["min_share"]
-            and _is_supported(one, known[mask], expected, rules)
-        ):
-            yield _count_finding(one, known[mask], expected, origin)
-            return
-    yield from _find_deficits(one, known, expected, origin, rules)
+def _has_conductors(one: SpanEvidence, rules: Rules) -> Mask:
+    """Return which conductors (K,) a span has, whole or in part."""
+    inner = one.states[:, inner_bins(one, rules)]
+    known = np.maximum((inner != UNKNOWN).sum(axis=1), 1)
+    return np.asarray((inner == PRESENT).sum(axis=1) >= _MIN_PRESENT_SHARE * known)
 
 
 def inner_bins(one: SpanEvidence, rules: Rules) -> Mask:
@@ -56,23 +44,54 @@ def inner_bins(one: SpanEvidence, rules: Rules) -> Mask:
     return inner
 
 
-def _find_deficits(
-    one: SpanEvidence, known: Ints, expected: int, origin: LocalMetres, rules: Rules
+def missing_conductors(one: SpanEvidence, rules: Rules) -> Ints:
+    """Return the conductors that other spans of the flight have and this one lacks nearly all along."""
+    limits, inner = rules.of("conductor_count"), inner_bins(one, rules)
+    states = one.states[:, inner]
+    n_known, n_absent = (states != UNKNOWN).sum(axis=1), (states == ABSENT).sum(axis=1)
+    is_long = n_known * one.axis.bin_m >= limits["min_length_m"]
+    return np.flatnonzero(is_long & (n_absent >= limits["min_share"] * n_known))
+
+
+def find_count_changes(
+    one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
-    """Find conductors that end within the span (lost) or are interrupted (gap)."""
-    bin_m, span_id = one.axis.bin_m, one.axis.span_id
-    lacking = _close_gaps(one.level[known] < expected, rules.anomalies["bridged_m"] / bin_m)
-    for run in find_runs(lacking, 1):
+    """Find missing conductors, further ones, and those that end or are interrupted within the span."""
+    missing = missing_conductors(one, rules)
+    n_left = len(one.places) - len(missing)
+    known = np.flatnonzero(inner_bins(one, rules) & (one.states != UNKNOWN).any(axis=0))
+    if len(missing) and n_left < expected:
+        bins = np.flatnonzero((one.states[missing] == ABSENT).any(axis=0))
+        yield _count_finding(one, bins, n_left, expected, origin)
+    elif len(known):
+        is_more = one.n_present[known] > expected
+        limits = rules.of("conductor_count")
+        if is_more.mean() >= limits["min_share"] and is_more.sum() * one.axis.bin_m >= limits["min_length_m"]:
+            level = int(np.median(one.n_present[known[is_more]]))
+            yield _count_finding(one, known[is_more], level, expected, origin)
+    for number in np.setdiff1d(np.arange(len(one.places)), missing).tolist():
+        yield from _find_deficits(one, number, expected, origin, rules)
+
+
+def _find_deficits(
+    one: SpanEvidence, number: int, expected: int, origin: LocalMetres, rules: Rules
+) -> Iterator[Finding]:
+    """Find where a conductor ends within the span (lost) or is interrupted (gap)."""
+    bin_m, span_id, states = one.axis.bin_m, one.axis.span_id, one.states[number]
+    known = np.flatnonzero(inner_bins(one, rules) & (states != UNKNOWN))
+    at_most = (one.states != ABSENT).sum(axis=0)
+    lacking = (states[known] == ABSENT) & (at_most[known] < expected)
+    for run in find_runs(_close_gaps(lacking, rules.anomalies["bridged_m"] / bin_m), 1):
         bins, length_m = known[run], len(run) * bin_m
         is_at_end = run[0] == 0 or run[-1] == len(known) - 1
-        if is_at_end and not _is_end_certain(one, bins, rules):
+        if is_at_end and not _is_end_certain(one, number, bins, rules):
             continue
         kind = "conductor_lost" if is_at_end else "conductor_gap"
         limit_m = rules.of(kind)["min_length_m"]
-        if length_m < limit_m or not _is_supported(one, bins, expected, rules):
+        if length_m < limit_m:
             continue
         start_m = one.axis.bins_m[bins[0]] - bin_m / 2
-        level = int(np.median(one.level[bins]))
+        level = int(np.median(at_most[bins]))
         if is_at_end:
             edge_m = start_m if run[0] > 0 else one.axis.bins_m[bins[-1]] + bin_m / 2
             reason = f"{level} of {expected} conductors beyond {edge_m:.0f} m of span {span_id}"
@@ -92,21 +111,7 @@ def _close_gaps(mask: Mask, longest: float) -> Mask:
     return closed
 
 
-def _is_supported(one: SpanEvidence, bins: Ints, expected: int, rules: Rules) -> bool:
-    """Return whether enough frames agree that some bins do not have the expected number."""
-    counts, weights = one.counts[:, bins], one.weights[:, bins]
-    total = weights.sum(axis=1)
-    rows = total >= max(total.max() / 2, 1e-9)
-    # Each frame has one vote, whatever the number of bins: the bins of a frame are not independent.
-    differing = np.where(np.isfinite(counts), counts != expected, False) * weights
-    share = differing[rows].sum(axis=1) / total[rows]
-    weight = total[rows] / np.isfinite(counts[rows]).sum(axis=1)
-    support, against = float((weight * share).sum()), float((weight * (1 - share)).sum())
-    limits = rules.anomalies
-    return bool(support >= max(limits["min_support"], limits["min_agreement"] * (support + against)))
-
-
-def _is_end_certain(one: SpanEvidence, bins: Ints, rules: Rules) -> bool:
+def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
     """Return whether bins reach a structure, or lines had their tracks when the bins came into view.
 
     Where a flight starts within a span, lines without a track yet look like missing ones. There the evidence
@@ -115,14 +120,18 @@ def _is_end_certain(one: SpanEvidence, bins: Ints, rules: Rules) -> bool:
     along_m, near_m = one.axis.bins_m[bins], 2 * rules.anomalies["margin_m"]
     if along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m:
         return True
-    shown = np.isfinite(one.counts)
-    first, first_here = (np.flatnonzero(mask.any(axis=1))[0] for mask in (shown, shown[:, bins]))
-    evidence = float(one.weights[:, bins].sum(axis=0).max())
+    if one.votes is None:
+        return False
+    weight = one.votes.weight[:, number]
+    first, first_here = (np.flatnonzero(mask.any(axis=1))[0] for mask in (weight, weight[:, bins]))
+    evidence = float(weight[:, bins].sum(axis=0).max())
     return bool(first_here - first >= _TRACK_START_FRAMES or evidence >= 2 * _TRACK_START_FRAMES)
 
 
-def _count_finding(one: SpanEvidence, bins: Ints, expected: int, origin: LocalMetres) -> Finding:
-    level, span_id = int(np.median(one.level[bins])), one.axis.span_id
+def _count_finding(
+    one: SpanEvidence, bins: Ints, level: int, expected: int, origin: LocalMetres
+) -> Finding:
+    span_id = one.axis.span_id
     reason = f"{level} conductors along span {span_id}, where {expected} are expected"
     rows, place = one.rows_showing(bins), one.place(bins, origin)
     return Finding(

@@ -1,6 +1,6 @@
 """Rules about sag of conductors and distances between them.
 
-A view from one side cannot distinguish a conductor that hangs lower from one that is farther away. A parabola
+A view from one side hardly distinguishes a conductor that hangs lower from one that is farther away. A parabola
 over the whole span is taken as sag, any other shape as a change across.
 """
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from inspect_pipeline.inspection.anomalies.frames import Finding
+from inspect_pipeline.inspection.conductors.fit import fit_conductor
 from inspect_pipeline.inspection.rows import find_runs
 
 if TYPE_CHECKING:
@@ -19,126 +20,73 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.arrays import Floats, Ints, Mask
     from inspect_pipeline.geometry.local_frame import LocalMetres
+    from inspect_pipeline.inspection.conductors.fit import ConductorFit
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
 
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
-_RAISED_M = 0.5  # standard deviation of the heights of the conductors of a span
-_NOISE_M = 0.05  # standard deviation of a crossing
-_ITERATIONS = 8
-_MIN_DEPTH_M = 1.0
-_MISFIT_QUANTILE = 0.8
+_MIN_APART = 2.0  # times aligned_px: nearer conductors are not compared
+_MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
 MIN_SAGS = 3  # conductors whose sag is compared
-_MIN_FITTING = 0.85  # of the crossings of a track; else it has parts of two conductors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ConductorTrack:
-    """A track along a span.
+class SpanConductor:
+    """A conductor of a span as its lines show it.
 
-    keys (C,): frame * B + bin of its crossings, ascending. across_m (C,): where it crosses. sag_m: of a
-    parabola fitted to it, misfit_m: its distance from that. Both are NaN where too little of it is visible or
-    the track has parts of two conductors.
+    number: of its place. track: of most of its lines. keys (C,): frame * B + bin of its crossings, ascending.
+    across_m (C,): where it crosses. fit: None where too little of it is visible, or its lines are of several.
     """
 
+    number: int
     track: int
     keys: Ints
     across_m: Floats
-    sag_m: float
-    misfit_m: float
+    fit: ConductorFit | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LinesOfSight:
-    """Lines of sight (C,): camera position along, aside and above the plane, and slopes per metre down."""
-
-    from_m: Floats
-    side_m: Floats
-    above_m: Floats
-    ahead: Floats
-    slope: Floats
-
-    def select(self, chosen: Mask) -> LinesOfSight:
-        """Return some of them."""
-        return LinesOfSight(*(getattr(self, name)[chosen] for name in self.__slots__))
-
-
-def conductor_tracks(one: SpanEvidence, rules: Rules) -> list[ConductorTrack]:
-    """Return the conductors of a span, and tracks that belong to none, with the sag of those visible enough."""
-    view, axis = one.sight.view, one.axis
-    groups = _group_lines(one)[view.line]
-    lines_of_sight = _lines_of_sight(one)
+def measure_conductors(one: SpanEvidence, rules: Rules) -> list[SpanConductor]:
+    """Return the conductors of a span that have lines, with fits of those visible along enough of it."""
+    sight, axis = one.sight, one.axis
+    view = sight.view
+    if one.votes is None:
+        return []
+    owner = one.votes.owner[view.line]
+    fine = sight.fine[view.frame, view.bin]
     conductors = []
-    for group in np.unique(groups).tolist():
-        own = groups == group
-        track = int(np.median(one.sight.lines.track[view.line[own]]))
+    for number, place in enumerate(one.places):
+        own = np.flatnonzero((owner == number) & fine)
+        if not len(own):
+            continue
         visible_m = len(np.unique(view.bin[own])) * axis.bin_m
         is_enough = visible_m >= rules.of("sag_change")["min_share"] * axis.length_m
-        fit = _fit_sag(lines_of_sight.select(own), axis.length_m) if is_enough else (np.nan, np.nan)
+        fit = fit_conductor(sight, own, place) if is_enough else None
         keys, once = np.unique(view.frame[own] * len(axis.centres) + view.bin[own], return_index=True)
-        conductors.append(ConductorTrack(track, keys, view.across_m[own][once], *fit))
+        tracks, counts = np.unique(sight.lines.track[view.line[own]], return_counts=True)
+        track = int(tracks[np.argmax(counts)])
+        conductors.append(SpanConductor(number, track, keys, view.across_m[own][once], fit))
     return conductors
 
 
-def _group_lines(one: SpanEvidence) -> Ints:
-    """Return a number (L,) for each line: of its conductor, else of its track."""
-    _, by_track = np.unique(one.sight.lines.track, return_inverse=True)
-    if one.votes is None:
-        return by_track
-    return np.where(one.votes.owner >= 0, one.votes.owner, len(one.places) + by_track)
+def _distances_m(
+    first: SpanConductor, second: SpanConductor, one: SpanEvidence, rules: Rules
+) -> Floats:
+    """Return distances (B,) over the frames with both conductors, NaN where too few have.
 
-
-def _distances_m(first: ConductorTrack, second: ConductorTrack, n_bins: int, rules: Rules) -> Floats:
-    """Return distances across (B,) over the frames with both conductors, NaN where too few have."""
-    both, i, j = np.intersect1d(first.keys, second.keys, assume_unique=True, return_indices=True)
-    return _median_by_bin(np.abs(first.across_m[i] - second.across_m[j]), both % n_bins, n_bins, rules)
-
-
-def _lines_of_sight(one: SpanEvidence) -> LinesOfSight:
-    """Return the line of sight of each crossing of a view."""
-    axis, view = one.axis, one.sight.view
-    from_m, side_m = one.sight.from_m[view.frame], one.sight.side_m[view.frame]
-    above_m = one.sight.above_m[view.frame, view.bin]  # above the nominal conductor, which sags
-    return LinesOfSight(
-        from_m=from_m,
-        side_m=side_m,
-        above_m=above_m + (axis.centres[view.bin, 2] - axis.chord_m[view.bin]),
-        ahead=(axis.bins_m[view.bin] - from_m) / above_m,
-        slope=(view.across_m - side_m) / above_m,
-    )
-
-
-def _fit_sag(sight: LinesOfSight, length_m: float) -> tuple[float, float]:
-    """Return the sag of a conductor in the middle of its span, and the misfit, in metres.
-
-    A conductor at y across, e above the plane and with sag s is visible at a slope q across per metre down:
-    q = (y - side) / (above - e + s p), with p = 4 x (1 - x) at a share x of the span, where x depends on the
-    depth. Solved by Gauss-Newton with a prior e = 0, without outliers.
+    Distances in the image are compared with those expected of the places of both: they are seen from aside.
     """
-    y_m = float(np.median(sight.side_m + sight.slope * sight.above_m))
-    raised_m = sag_m = 0.0
-    fits = np.ones(len(sight.slope), bool)
-    depth_m, parabola = sight.above_m, np.zeros(len(fits))
-    for _ in range(_ITERATIONS):
-        share = np.clip((sight.from_m + sight.ahead * depth_m) / length_m, 0, 1)
-        parabola = 4 * share * (1 - share)
-        depth_m = sight.above_m - raised_m + sag_m * parabola
-        slope = (y_m - sight.side_m) / depth_m
-        # Residuals in metres across, at the depth of the conductor.
-        terms = np.column_stack((np.ones_like(slope), slope, -slope * parabola))[fits]
-        residuals = ((sight.slope - slope) * depth_m)[fits]
-        weight = np.sqrt(len(residuals)) * _NOISE_M / _RAISED_M
-        rows = np.vstack((terms, [0.0, weight, 0.0]))
-        step = np.linalg.lstsq(rows, np.append(residuals, -weight * raised_m), rcond=None)[0]
-        y_m, raised_m, sag_m = (np.array([y_m, raised_m, sag_m]) + step).tolist()
-        depth_m = np.maximum(sight.above_m - raised_m + sag_m * parabola, _MIN_DEPTH_M)
-        away = np.abs(sight.slope * depth_m - (y_m - sight.side_m))
-        fits = away <= 4 * max(float(np.median(away)), 0.01)
-    if fits.mean() < _MIN_FITTING:
-        return float("nan"), float("nan")
-    return sag_m, float(np.quantile(away, _MISFIT_QUANTILE))
+    n_bins = len(one.axis.centres)
+    both, i, j = np.intersect1d(first.keys, second.keys, assume_unique=True, return_indices=True)
+    frame, bins = np.divmod(both, n_bins)
+    places = one.places[first.number], one.places[second.number]
+    appear = [one.sight.appear_at(each.across_m, each.raised_m, each.sag_m)[frame, bins] for each in places]
+    expected_m = np.abs(appear[0] - appear[1])
+    real_m = float(np.hypot(*(getattr(places[0], n) - getattr(places[1], n) for n in ("across_m", "raised_m"))))
+    apart = expected_m * one.sight.scale_px[frame, bins] >= _MIN_APART * rules.anomalies["aligned_px"]
+    ratio = np.abs(first.across_m[i] - second.across_m[j])[apart] / expected_m[apart]
+    return _median_by_bin(real_m * ratio, bins[apart], n_bins, rules)
 
 
 def _median_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Floats:
@@ -156,14 +104,14 @@ def _median_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> F
 
 
 def find_converging(
-    one: SpanEvidence, conductors: Sequence[ConductorTrack], origin: LocalMetres, rules: Rules
+    one: SpanEvidence, conductors: Sequence[SpanConductor], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
     """Find the two conductors that come closest relative to their usual distance."""
     found = [
         _to_finding(one, approach, first.track, origin)
         for i, first in enumerate(conductors)
         for second in conductors[i + 1 :]
-        for approach in _approaches(_distances_m(first, second, len(one.axis.centres), rules), one, rules)
+        for approach in _approaches(_distances_m(first, second, one, rules), one, rules)
     ]
     # A conductor that moves towards its neighbour also approaches those behind it.
     if found:
@@ -216,29 +164,29 @@ def _to_finding(one: SpanEvidence, found: _Approach, track_id: int, origin: Loca
     )
 
 
-def measured_sag(conductors: Sequence[ConductorTrack]) -> list[ConductorTrack]:
-    """Return the conductors whose sag is known."""
-    return [one for one in conductors if np.isfinite(one.sag_m)]
+def measured_fits(conductors: Sequence[SpanConductor], rules: Rules) -> list[tuple[int, ConductorFit]]:
+    """Return tracks and fits of the conductors whose sag is known well enough to be compared."""
+    limit_m = rules.of("sag_change")["min_difference_m"] / _MIN_SIGNIFICANCE
+    fits = [(one.track, one.fit) for one in conductors if one.fit and one.fit.sd[2] <= limit_m]
+    return fits if len(fits) >= MIN_SAGS else []
 
 
 def find_sag_changes(
-    one: SpanEvidence, conductors: Sequence[ConductorTrack], origin: LocalMetres, rules: Rules
+    one: SpanEvidence, conductors: Sequence[SpanConductor], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
     """Find the conductor whose sag differs most from the median of the span."""
     limits = rules.of("sag_change")
-    measured = measured_sag(conductors)
-    if len(measured) < MIN_SAGS:
+    measured = measured_fits(conductors, rules)
+    if not measured:
         return
-    usual_m = float(np.median([one.sag_m for one in measured]))
-    outlier = max(measured, key=lambda one: abs(one.sag_m - usual_m))
-    difference_m = outlier.sag_m - usual_m
+    usual_m = float(np.median([fit.place.sag_m for _, fit in measured]))
+    track, outlier = max(measured, key=lambda each: abs(each[1].place.sag_m - usual_m))
+    difference_m = outlier.place.sag_m - usual_m
     limit_m = limits["min_difference_m"]
     if abs(difference_m) < limit_m or outlier.misfit_m > limits["max_misfit_m"]:
         return
     word = "lower" if difference_m > 0 else "higher"
-    share = one.axis.bins_m / one.axis.length_m
-    is_visible = np.isin(np.arange(len(share)), outlier.keys % len(share))
-    bins = np.flatnonzero((share * (1 - share) > 0.125) & is_visible)
+    bins = np.flatnonzero((one.sight.parabola > 0.5) & one.sight.fine.any(axis=0))  # noqa: PLR2004 - its middle
     if len(bins):
         yield Finding(
             "sag_change",
@@ -247,19 +195,19 @@ def find_sag_changes(
             abs(difference_m),
             limit_m,
             "m",
-            track_id=outlier.track,
+            track_id=track,
             span_id=one.axis.span_id,
             place=one.place(bins, origin),
         )
 
 
-def compared_bins(one: SpanEvidence, conductors: Sequence[ConductorTrack], rules: Rules) -> Mask:
+def compared_bins(one: SpanEvidence, conductors: Sequence[SpanConductor], rules: Rules) -> Mask:
     """Return the bins (B,) within the stretches along which the distance of two conductors is known."""
     n_bins, limits = len(one.axis.centres), rules.of("conductors_converging")
     compared = np.zeros(n_bins, bool)
     for i, first in enumerate(conductors):
         for second in conductors[i + 1 :]:
-            apart_m = _distances_m(first, second, n_bins, rules)
+            apart_m = _distances_m(first, second, one, rules)
             for known in _smooth_runs(apart_m, limits["max_slope"] * one.axis.bin_m):
                 if len(known) * one.axis.bin_m >= 2 * limits["min_length_m"]:
                     compared[known[0] : known[-1] + 1] = True

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.inspection.anomalies.conductors import (
-    MIN_SAGS,
     compared_bins,
-    conductor_tracks,
     find_converging,
     find_sag_changes,
-    measured_sag,
+    measure_conductors,
+    measured_fits,
 )
 from inspect_pipeline.inspection.anomalies.spans import (
     find_count_changes,
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.arrays import Floats, Mask
     from inspect_pipeline.geometry.local_frame import LocalMetres
-    from inspect_pipeline.inspection.anomalies.conductors import ConductorTrack
+    from inspect_pipeline.inspection.anomalies.conductors import SpanConductor
     from inspect_pipeline.inspection.anomalies.frames import Finding
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
@@ -59,7 +58,7 @@ def find_on_spans(evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: 
     outcomes: list[SpanOutcomes] = []
     for one in evidence:
         expected = one.axis.expected_conductors or usual
-        conductors = conductor_tracks(one, rules)
+        conductors = measure_conductors(one, rules)
         if expected:
             findings += find_count_changes(one, expected, origin, rules)
         # A conductor that sags may also appear closer to a neighbour: report it once.
@@ -70,7 +69,7 @@ def find_on_spans(evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: 
 
 
 def _outcomes(
-    one: SpanEvidence, expected: int, conductors: Sequence[ConductorTrack], rules: Rules
+    one: SpanEvidence, expected: int, conductors: Sequence[SpanConductor], rules: Rules
 ) -> SpanOutcomes:
     """Return the outcome of each bin by each rule. Bins next to structures have that of the nearest other."""
     shares = _count_outcomes(one, expected)
@@ -81,7 +80,7 @@ def _outcomes(
     if len(one.places) < expected and not len(missing_conductors(one, rules)):
         # One that no span shows: missing everywhere, or always behind another.
         counted = _move(shares, JUDGED, ALIGNED)
-    has_sag = np.full(len(shares), len(measured_sag(conductors)) >= MIN_SAGS)
+    has_sag = np.full(len(shares), bool(measured_fits(conductors, rules)))
     return SpanOutcomes(
         one.axis,
         {

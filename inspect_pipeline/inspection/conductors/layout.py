@@ -20,6 +20,7 @@ _HEIGHT_PENALTY = 0.01  # per square metre: of equal places, that nearest to the
 _BLUR_M, _NEAR_M = 0.12, 0.3  # of places; around one, in which lines belong to it
 _SEPARATE_M, _MIN_TOGETHER = 0.75, 0.3  # nearer places are two only where frames show both at once
 _MIN_BINS, _MIN_SHARE = 6, 0.35  # metres, along which a share of the frames has a conductor
+_MIN_VIEWS = 2
 _MAX_CONDUCTORS = 24
 _NOISE_PX = 3.0
 
@@ -93,12 +94,14 @@ class _Pool:
         return own
 
     def is_steady(self, own: Ints) -> bool:
-        """Return whether enough frames have a conductor there along some metres of a span."""
+        """Return whether enough frames have a conductor there along some metres of half of the spans."""
         key = (self.owner[own] * self.n_bins + self.bins[own]) * (self.frames.max() + 1) + self.frames[own]
         bins = np.unique(key) // (self.frames.max() + 1)
         seen = np.bincount(bins, minlength=self.views.size).reshape(self.views.shape)
-        steady = (seen >= _MIN_SHARE * self.views) & (self.views >= 2) & (seen >= 2)
-        return bool(steady.sum(axis=1).max() >= _MIN_BINS)
+        steady = (seen >= _MIN_SHARE * self.views) & (seen >= _MIN_VIEWS)
+        n_steady = np.count_nonzero(steady.sum(axis=1) >= _MIN_BINS)
+        n_seen = np.count_nonzero((self.views >= _MIN_VIEWS).sum(axis=1) >= _MIN_BINS)
+        return bool(n_steady >= max(1, n_seen // 2))
 
     def retry(self) -> bool:
         """Return whether to look for further places after one that was not steady."""

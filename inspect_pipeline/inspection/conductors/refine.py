@@ -56,7 +56,7 @@ def refine(
             corrections = [one - np.median(known, axis=0) for one in corrections]
         sights = [_apply(one, found) for one, found in zip(raw, corrections, strict=True)]
         places = [_fit(k, place, sights, matches) for k, place in enumerate(places)]
-        places = _merge(places, sights)
+        places = _centre(_merge(places, sights), sights)
     return sights, places
 
 
@@ -67,7 +67,7 @@ def _match(sight: SpanSight, places: Sequence[Place]) -> _Matches:
     return _Matches(rows, owner[rows])
 
 
-def _predict(sight: SpanSight, rows: Ints, place: Place) -> tuple[Floats, Floats]:
+def predict_across(sight: SpanSight, rows: Ints, place: Place) -> tuple[Floats, Floats]:
     """Return where a conductor appears across at crossings, and the derivatives (C, 3) by its parameters."""
     frame, bins = sight.view.frame[rows], sight.view.bin[rows]
     above_m, parabola, side_m = sight.above_m[frame, bins], sight.parabola[bins], sight.side_m[frame]
@@ -90,7 +90,7 @@ def _correct(sight: SpanSight, found: _Matches, places: Sequence[Place], sd: Flo
     wanted = np.zeros(len(found.rows))
     for k, place in enumerate(places):
         own = found.places == k
-        wanted[own] = _predict(sight, found.rows[own], place)[0]
+        wanted[own] = predict_across(sight, found.rows[own], place)[0]
     residuals, terms = wanted - sight.view.across_m[found.rows], _terms(sight)[found.rows]
     frame = sight.view.frame[found.rows]
     corrections = np.zeros((len(sight.rows), terms.shape[1]))
@@ -120,7 +120,7 @@ def _fit(k: int, place: Place, sights: Sequence[SpanSight], matches: Sequence[_M
         rows = found.rows[found.places == k]
         if not len(rows):
             continue
-        appears, terms = _predict(sight, rows, place)
+        appears, terms = predict_across(sight, rows, place)
         residuals = sight.view.across_m[rows] - appears
         near = np.abs(residuals) < _NEAR_M
         rows, terms, residuals = rows[near], terms[near], residuals[near]
@@ -136,6 +136,23 @@ def _fit(k: int, place: Place, sights: Sequence[SpanSight], matches: Sequence[_M
         raised_m=float(np.clip(place.raised_m + step[1], -6, 6)),
         sag_m=float(np.clip(place.sag_m + step[2], -3, 6)),
     )
+
+
+def _centre(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
+    """Move all places along their lines of sight until their mean height is the nominal one.
+
+    Views from one side know heights relative to each other far better than from the camera.
+    """
+    if not places:
+        return []
+    mean_m = float(np.mean([place.raised_m for place in places]))
+    side_m = np.concatenate([one.side_m for one in sights])
+    above_m = np.concatenate([one.above_m.mean(axis=1) for one in sights])
+    slopes = [float(np.nanmedian((place.across_m - side_m) / above_m)) for place in places]
+    return [
+        replace(place, across_m=place.across_m + slope * mean_m, raised_m=place.raised_m - mean_m)
+        for place, slope in zip(places, slopes, strict=True)
+    ]
 
 
 def _merge(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:

@@ -16,6 +16,7 @@ MIGRATIONS = (
     "0006_judgements.sql",
     "0007_priorities.sql",
     "0008_signals.sql",
+    "0009_conductors.sql",
 )
 
 

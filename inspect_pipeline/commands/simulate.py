@@ -41,6 +41,18 @@ def simulate(
     ] = None,
     phases: Annotated[int, typer.Option(min=1, max=12, metavar="N", help="Phases side by side.")] = 3,
     bundle: Annotated[int, typer.Option(min=1, max=4, metavar="N", help="Conductors of a phase.")] = 1,
+    circuits: Annotated[
+        int, typer.Option(min=1, max=2, metavar="N", help="Circuits, one on either side.")
+    ] = 1,
+    position_noise: Annotated[
+        float, typer.Option(min=0, metavar="M", callback=finite, help="Noise of each position, in m.")
+    ] = 0.0,
+    drift: Annotated[
+        float, typer.Option(min=0, metavar="M", callback=finite, help="Slow error of positions, up to M.")
+    ] = 0.0,
+    attitude_noise: Annotated[
+        float, typer.Option(min=0, metavar="DEG", callback=finite, help="Noise of the camera's angles.")
+    ] = 0.0,
     ground: Annotated[
         Path | None,
         typer.Option(metavar="PHOTO", help="Aerial photograph, 82 m wide, as the ground. Default: drawn."),
@@ -58,6 +70,7 @@ def simulate(
     Examples:
       lsnet-pipe simulate demo.mcap
       lsnet-pipe simulate demo.mcap --seconds 10 --fault missing_conductor
+      lsnet-pipe simulate demo.mcap --phases 6 --position-noise 2 --drift 2 --attitude-noise 1
     """
     check_suffix(target, (".mcap",))
     from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
@@ -71,6 +84,10 @@ def simulate(
         n_structures=structures,
         n_phases=phases,
         n_bundle=bundle,
+        n_circuits=circuits,
+        position_noise_m=position_noise,
+        drift_m=drift,
+        attitude_noise_deg=attitude_noise,
         faults=tuple(fault or ()),
         schema=schema,
         ground=ground,

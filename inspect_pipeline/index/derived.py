@@ -14,7 +14,6 @@ import numpy as np
 from inspect_pipeline.index.cameras import load_cameras
 from inspect_pipeline.index.inspected import Inspected, input_digests, load_store_rules
 from inspect_pipeline.index.rows import insert_records
-from inspect_pipeline.inspection.anomalies.counts import count_conductors
 from inspect_pipeline.inspection.anomalies.find import Reviewed, inspect_cameras, with_ids
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
 from inspect_pipeline.inspection.spans import load_spans
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
 
     import duckdb
 
+    from inspect_pipeline.inspection.anomalies.counts import CountRows
     from inspect_pipeline.inspection.anomalies.find import Anomaly
     from inspect_pipeline.inspection.coverage.measure import FlightCoverage
     from inspect_pipeline.inspection.rows import CameraRows
@@ -40,6 +40,7 @@ DERIVED_TABLES = (
     "conductor_counts",
     "anomalies",
     "span_judgements",
+    "conductors",
 )
 
 
@@ -61,12 +62,13 @@ def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequen
     for flight_id in stale:
         cameras = load_cameras(connection, flight_id)
         _insert_coverage(connection, flight_id, measure_coverage(cameras, spans, rules))
-        _insert_counts(connection, flight_id, cameras, spans, rules)
         found = inspect_cameras(cameras, spans, rules)
+        _insert_counts(connection, flight_id, found.counts)
         anomalies = with_ids(flight_id, found.anomalies, reviews.get(flight_id, []))
         _insert_anomalies(connection, flight_id, anomalies)
-        judgements = [{"flight_id": flight_id, **asdict(one)} for one in found.judgements]
-        insert_records(connection, "INSERT INTO span_judgements", "span_judgements", judgements)
+        for table, rows in (("span_judgements", found.judgements), ("conductors", found.conductors)):
+            records = [{"flight_id": flight_id, **asdict(row)} for row in rows]
+            insert_records(connection, f"INSERT INTO {table}", table, records)
 
 
 def inspect_flights(
@@ -150,21 +152,16 @@ def _insert_coverage(connection: duckdb.DuckDBPyConnection, flight_id: str, foun
 
 
 def _insert_counts(
-    connection: duckdb.DuckDBPyConnection,
-    flight_id: str,
-    cameras: Sequence[CameraRows],
-    spans: Sequence[Span],
-    rules: Rules,
+    connection: duckdb.DuckDBPyConnection, flight_id: str, counts: Sequence[CountRows]
 ) -> None:
-    counts = [(one.channel_id, found) for one in cameras for found in count_conductors(one, spans, rules)]
     if not counts:
         return
-    lengths = [len(found.frame_idx) for _, found in counts]
+    lengths = [len(found.frame_idx) for found in counts]
     columns = {
-        "channel_id": np.repeat([channel_id for channel_id, _ in counts], lengths),
+        "channel_id": np.repeat([found.channel_id for found in counts], lengths),
         "count_idx": np.repeat(np.arange(len(counts)), lengths),
-        "frame_idx": np.concatenate([found.frame_idx for _, found in counts]),
-        "n_conductors": np.concatenate([found.n_conductors for _, found in counts]),
+        "frame_idx": np.concatenate([found.frame_idx for found in counts]),
+        "n_conductors": np.concatenate([found.n_conductors for found in counts]),
     }
     connection.register("count_rows", columns)
     connection.execute(
@@ -173,7 +170,7 @@ def _insert_counts(
         SELECT $flight_id AS flight_id, $span_ids[count_idx + 1] AS span_id, * EXCLUDE (count_idx)
         FROM count_rows
         """,
-        {"flight_id": flight_id, "span_ids": [found.span_id for _, found in counts]},
+        {"flight_id": flight_id, "span_ids": [found.span_id for found in counts]},
     )
     connection.unregister("count_rows")
 

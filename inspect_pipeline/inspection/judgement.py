@@ -46,7 +46,7 @@ class SpanJudgement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpanOutcomes:
-    """Shares (B, len(OUTCOMES)) of the conductors of each bin of a span with each outcome, by kind of anomaly."""
+    """Shares (B, len(OUTCOMES)) of the conductors of a span with each outcome, by kind of anomaly."""
 
     axis: SpanAxis
     by_kind: dict[str, Floats]

@@ -41,7 +41,7 @@ PRESENT, ABSENT, UNKNOWN = 1, 0, -1
 class SpanEvidence:
     """Evidence about the K conductors of a span of B bins.
 
-    places: where they hang, those of all spans of the flight alike. states (K, B): PRESENT, ABSENT or UNKNOWN.
+    places: where they hang, alike on all spans. states (K, B): PRESENT, ABSENT or UNKNOWN.
     votes: None without any place. outcome (B,): what is in the way of judging a bin at all, see `judgement`.
     """
 
@@ -67,9 +67,14 @@ class SpanEvidence:
         return float(lat_deg), float(lon_deg)
 
     @property
-    def n_present(self) -> Ints:
-        """Number of conductors present in each bin (B,)."""
-        return np.asarray((self.states == PRESENT).sum(axis=0))
+    def is_present(self) -> Mask:
+        """Where conductors are present (K, B)."""
+        return np.asarray(self.states == PRESENT)
+
+    @property
+    def is_judged(self) -> Mask:
+        """Where it is known whether conductors are present (K, B)."""
+        return np.asarray(self.states != UNKNOWN)
 
 
 def gather_evidence(

@@ -126,9 +126,7 @@ def plan_flight(options: SimulationOptions) -> FlightPlan:
     """Plan a flight by its options. Raises ValueError for an impossible line."""
     rng = np.random.default_rng([options.seed, 1])
     n_structures = options.n_structures or _n_passed(options)
-    line = hang_line(
-        _FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle, options.n_circuits
-    )
+    line = hang_line(_FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle, options.n_circuits)
     raised_m = _RAISED_SHARE * max(0.0, line.half_width_m - _USUAL_HALF_M)
     path = Path(options.flight, options.seconds, raised_m, rng.uniform(0, 2 * np.pi, 4))
     azimuth_deg = float(rng.uniform(0, 360))

@@ -77,9 +77,7 @@ class PowerLine:
         return np.clip(numbers, 0, self.n_structures - 2)
 
 
-def hang_line(
-    first: int, n_structures: int, n_phases: int, n_bundle: int, n_circuits: int = 1
-) -> PowerLine:
+def hang_line(first: int, n_structures: int, n_phases: int, n_bundle: int, n_circuits: int = 1) -> PowerLine:
     """A line without faults; raises ValueError for fewer than two structures or one phase or wire."""
     if n_structures < 2 or n_phases < 1 or n_bundle < 1:
         raise ValueError("a line has at least two structures, a phase and a wire in its bundle")

@@ -161,7 +161,9 @@ def _write_calibration(author: Author, topic: str, frame: FrameTruth, camera: Si
 
 
 def _write_location(author: Author, topic: str, plan: FlightPlan, time_ns: int) -> None:
-    latitude_deg, longitude_deg, altitude_m = to_geodetic(plan, np.array(plan.recorded_pose(time_ns).position))
+    latitude_deg, longitude_deg, altitude_m = to_geodetic(
+        plan, np.array(plan.recorded_pose(time_ns).position)
+    )
     author.write_location(
         topic,
         START_NS + time_ns,

@@ -1,7 +1,7 @@
 """Rules about sag of conductors and distances between them.
 
-A view from one side hardly distinguishes a conductor that hangs lower from one that is farther away. A parabola
-over the whole span is taken as sag, any other shape as a change across.
+A view from one side hardly distinguishes a conductor that hangs lower from one that is farther away. A
+parabola over the whole span is taken as sag, any other shape as a change across.
 """
 
 from __future__ import annotations
@@ -70,9 +70,7 @@ def measure_conductors(one: SpanEvidence, rules: Rules) -> list[SpanConductor]:
     return conductors
 
 
-def _distances_m(
-    first: SpanConductor, second: SpanConductor, one: SpanEvidence, rules: Rules
-) -> Floats:
+def _distances_m(first: SpanConductor, second: SpanConductor, one: SpanEvidence, rules: Rules) -> Floats:
     """Return distances (B,) over the frames with both conductors, NaN where too few have.
 
     Distances in the image are compared with those expected of the places of both: they are seen from aside.
@@ -83,7 +81,9 @@ def _distances_m(
     places = one.places[first.number], one.places[second.number]
     appear = [one.sight.appear_at(each.across_m, each.raised_m, each.sag_m)[frame, bins] for each in places]
     expected_m = np.abs(appear[0] - appear[1])
-    real_m = float(np.hypot(*(getattr(places[0], n) - getattr(places[1], n) for n in ("across_m", "raised_m"))))
+    real_m = float(
+        np.hypot(*(getattr(places[0], n) - getattr(places[1], n) for n in ("across_m", "raised_m")))
+    )
     apart = expected_m * one.sight.scale_px[frame, bins] >= _MIN_APART * rules.anomalies["aligned_px"]
     ratio = np.abs(first.across_m[i] - second.across_m[j])[apart] / expected_m[apart]
     return _median_by_bin(real_m * ratio, bins[apart], n_bins, rules)
@@ -108,7 +108,7 @@ def find_converging(
 ) -> Iterator[Finding]:
     """Find the two conductors that come closest relative to their usual distance."""
     found = [
-        _to_finding(one, approach, first.track, origin)
+        _to_finding(one, approach, (first, second), origin)
         for i, first in enumerate(conductors)
         for second in conductors[i + 1 :]
         for approach in _approaches(_distances_m(first, second, one, rules), one, rules)
@@ -148,7 +148,9 @@ def _smooth_runs(apart_m: Floats, max_step_m: float) -> list[Ints]:
     return np.split(known, np.flatnonzero(is_jump) + 1)
 
 
-def _to_finding(one: SpanEvidence, found: _Approach, track_id: int, origin: LocalMetres) -> Finding:
+def _to_finding(
+    one: SpanEvidence, found: _Approach, pair: tuple[SpanConductor, SpanConductor], origin: LocalMetres
+) -> Finding:
     span_id = one.axis.span_id
     what = f"two conductors appear {found.least_m:.1f} m apart in span {span_id}"
     return Finding(
@@ -158,16 +160,17 @@ def _to_finding(one: SpanEvidence, found: _Approach, track_id: int, origin: Loca
         found.least_m,
         found.limit_m,
         "m",
-        track_id=track_id,
+        track_id=pair[0].track,
         span_id=span_id,
         place=one.place(found.bins, origin),
+        conductors=(pair[0].number, pair[1].number),
     )
 
 
-def measured_fits(conductors: Sequence[SpanConductor], rules: Rules) -> list[tuple[int, ConductorFit]]:
-    """Return tracks and fits of the conductors whose sag is known well enough to be compared."""
-    limit_m = rules.of("sag_change")["min_difference_m"] / _MIN_SIGNIFICANCE
-    fits = [(one.track, one.fit) for one in conductors if one.fit and one.fit.sd[2] <= limit_m]
+def measured_fits(conductors: Sequence[SpanConductor], rules: Rules) -> list[tuple[int, int, ConductorFit]]:
+    """Return numbers, tracks and fits of the conductors whose sag is known well enough to be compared."""
+    most_m = rules.of("sag_change")["min_difference_m"] / 2
+    fits = [(one.number, one.track, one.fit) for one in conductors if one.fit and one.fit.sd[2] <= most_m]
     return fits if len(fits) >= MIN_SAGS else []
 
 
@@ -179,14 +182,14 @@ def find_sag_changes(
     measured = measured_fits(conductors, rules)
     if not measured:
         return
-    usual_m = float(np.median([fit.place.sag_m for _, fit in measured]))
-    track, outlier = max(measured, key=lambda each: abs(each[1].place.sag_m - usual_m))
+    usual_m = float(np.median([fit.place.sag_m for *_, fit in measured]))
+    number, track, outlier = max(measured, key=lambda each: abs(each[-1].place.sag_m - usual_m))
     difference_m = outlier.place.sag_m - usual_m
-    limit_m = limits["min_difference_m"]
+    limit_m = max(limits["min_difference_m"], _MIN_SIGNIFICANCE * outlier.sd[2])
     if abs(difference_m) < limit_m or outlier.misfit_m > limits["max_misfit_m"]:
         return
     word = "lower" if difference_m > 0 else "higher"
-    bins = np.flatnonzero((one.sight.parabola > 0.5) & one.sight.fine.any(axis=0))  # noqa: PLR2004 - its middle
+    bins = np.flatnonzero((one.sight.parabola > 0.5) & one.sight.fine.any(axis=0))
     if len(bins):
         yield Finding(
             "sag_change",
@@ -198,6 +201,7 @@ def find_sag_changes(
             track_id=track,
             span_id=one.axis.span_id,
             place=one.place(bins, origin),
+            conductors=(number,),
         )
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inspect_pipeline.inspection.anomalies.counts import count_conductors
 from inspect_pipeline.inspection.anomalies.frames import FRAME_RULES
 from inspect_pipeline.inspection.anomalies.lines import LINE_RULES
 from inspect_pipeline.inspection.anomalies.on_spans import find_on_spans
@@ -27,11 +28,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from inspect_pipeline.arrays import Mask
+    from inspect_pipeline.inspection.anomalies.counts import CountRows
     from inspect_pipeline.inspection.anomalies.frames import Finding
     from inspect_pipeline.inspection.anomalies.on_spans import ConductorFindings
+    from inspect_pipeline.inspection.conductors.rows import ConductorRow
     from inspect_pipeline.inspection.judgement import SpanJudgement
     from inspect_pipeline.inspection.rows import CameraRows, FrameRows
     from inspect_pipeline.inspection.rules import Priority, Rules
+    from inspect_pipeline.inspection.span_evidence import SpanEvidence
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_EVIDENCE = 5
@@ -62,10 +66,12 @@ class Anomaly:
 
 @dataclass(frozen=True, slots=True)
 class FlightFindings:
-    """Anomalies of a flight, and the outcome of each rule about conductors on its spans."""
+    """Anomalies of a flight, outcomes of the rules about conductors on its spans, conductors and counts."""
 
     anomalies: list[Anomaly]
     judgements: list[SpanJudgement]
+    conductors: list[ConductorRow]
+    counts: list[CountRows]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,21 +96,29 @@ def inspect_cameras(cameras: Sequence[CameraRows], spans: Sequence[Span], rules:
     origin = find_origin(cameras)
     anomalies: list[Anomaly] = []
     judged: list[ConductorFindings] = []
+    counts: list[CountRows] = []
     for camera in cameras:
         quality = assess_frames(camera.frames, rules)
         findings = [one for rule in (*FRAME_RULES, *LINE_RULES) for one in rule(camera, quality, rules)]
+        evidence: list[SpanEvidence] = []
         if origin is not None:
             usable = quality.usable & _before_jumps(camera.frames, findings)
             evidence = gather_evidence(camera, spans, origin, usable, rules)
-            judged.append(find_on_spans(evidence, origin, rules))
+            judged.append(find_on_spans(camera.channel_id, evidence, origin, rules))
             findings += judged[-1].findings
+        counts += count_conductors(camera, evidence, rules)
         anomalies += [
             _to_anomaly(camera.channel_id, camera.frames, one, rules.priority(one.kind))
             for one in findings
             if rules.of(one.kind)["enabled"]
         ]
     anomalies.sort(key=lambda one: (one.start_ns, one.kind, one.channel_id, one.span_id or ""))
-    return FlightFindings(anomalies, merge_outcomes([one.outcomes for one in judged]))
+    return FlightFindings(
+        anomalies,
+        merge_outcomes([one.outcomes for one in judged]),
+        [row for one in judged for row in one.conductors],
+        counts,
+    )
 
 
 def _before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> Mask:

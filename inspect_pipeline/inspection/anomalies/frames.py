@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 class Finding:
     """Result of a rule: rows of the frames that show it, and the value that passed the threshold.
 
-    place is latitude and longitude in degrees, None for the position of the camera.
+    place is latitude and longitude in degrees, None for the position of the camera. conductors: numbers of
+    those of a span that it is about.
     """
 
     kind: str
@@ -33,6 +34,7 @@ class Finding:
     track_id: int | None = None
     span_id: str | None = None
     place: tuple[float, float] | None = None
+    conductors: tuple[int, ...] = ()
 
 
 def find_blurred(camera: CameraRows, quality: FrameQuality, rules: Rules) -> Iterator[Finding]:

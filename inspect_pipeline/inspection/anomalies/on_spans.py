@@ -20,6 +20,7 @@ from inspect_pipeline.inspection.anomalies.spans import (
     missing_conductors,
     usual_count,
 )
+from inspect_pipeline.inspection.conductors.rows import conductor_rows
 from inspect_pipeline.inspection.judgement import (
     ALIGNED,
     JUDGED,
@@ -28,7 +29,6 @@ from inspect_pipeline.inspection.judgement import (
     TOO_FEW,
     SpanOutcomes,
 )
-from inspect_pipeline.inspection.span_evidence import UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.anomalies.conductors import SpanConductor
     from inspect_pipeline.inspection.anomalies.frames import Finding
+    from inspect_pipeline.inspection.conductors.rows import ConductorRow
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
@@ -45,27 +46,36 @@ _HIDDEN_SHARE = 0.5  # of the frames that show a bin, from which on its conducto
 
 @dataclass(frozen=True, slots=True)
 class ConductorFindings:
-    """Findings of one camera on spans, and the outcomes of the rules on each span."""
+    """Findings of one camera on spans, the outcomes of the rules on each span, and its conductors."""
 
     findings: list[Finding]
     outcomes: list[SpanOutcomes]
+    conductors: list[ConductorRow]
 
 
-def find_on_spans(evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: Rules) -> ConductorFindings:
+def find_on_spans(
+    channel_id: int, evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: Rules
+) -> ConductorFindings:
     """Apply all rules about conductors to the spans near the path of a camera."""
     usual = usual_count(evidence, rules)
     findings: list[Finding] = []
     outcomes: list[SpanOutcomes] = []
+    rows: list[ConductorRow] = []
     for one in evidence:
         expected = one.axis.expected_conductors or usual
         conductors = measure_conductors(one, rules)
+        # One that sags may also appear closer to a neighbour, and missing where it was: report it once.
+        moved = list(find_sag_changes(one, conductors, origin, rules))
+        moved = moved or list(find_converging(one, conductors, origin, rules))
+        known = {number for finding in moved for number in finding.conductors}
+        findings += moved
         if expected:
-            findings += find_count_changes(one, expected, origin, rules)
-        # A conductor that sags may also appear closer to a neighbour: report it once.
-        sagging = list(find_sag_changes(one, conductors, origin, rules))
-        findings += sagging or find_converging(one, conductors, origin, rules)
+            found = find_count_changes(one, expected, origin, rules)
+            findings += [each for each in found if not known.intersection(each.conductors)]
         outcomes.append(_outcomes(one, expected, conductors, rules))
-    return ConductorFindings(findings, outcomes)
+        fits = {each.number: each.fit for each in conductors}
+        rows += conductor_rows(channel_id, one, [fits.get(k) for k in range(len(one.places))])
+    return ConductorFindings(findings, outcomes, rows)
 
 
 def _outcomes(
@@ -100,7 +110,7 @@ def _count_outcomes(one: SpanEvidence, expected: int) -> Floats:
     shares[np.arange(n_bins), one.outcome] = 1.0
     if one.votes is None:
         return shares
-    is_known = one.states != UNKNOWN
+    is_known = one.is_judged
     is_hidden = ~is_known & (one.votes.hidden >= _HIDDEN_SHARE)
     n_all = max(expected, n_places)
     in_view = one.sight.fine.any(axis=0)

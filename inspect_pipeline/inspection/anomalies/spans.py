@@ -59,15 +59,16 @@ def find_count_changes(
     """Find missing conductors, further ones, and those that end or are interrupted within the span."""
     missing = missing_conductors(one, rules)
     n_left = len(one.places) - len(missing)
-    known = np.flatnonzero(inner_bins(one, rules) & (one.states != UNKNOWN).any(axis=0))
+    known = np.flatnonzero(inner_bins(one, rules) & one.is_judged.any(axis=0))
     if len(missing) and n_left < expected:
         bins = np.flatnonzero((one.states[missing] == ABSENT).any(axis=0))
         yield _count_finding(one, bins, n_left, expected, origin)
     elif len(known):
-        is_more = one.n_present[known] > expected
+        n_present = one.is_present[:, known].sum(axis=0)
+        is_more = n_present > expected
         limits = rules.of("conductor_count")
         if is_more.mean() >= limits["min_share"] and is_more.sum() * one.axis.bin_m >= limits["min_length_m"]:
-            level = int(np.median(one.n_present[known[is_more]]))
+            level = int(np.median(n_present[is_more]))
             yield _count_finding(one, known[is_more], level, expected, origin)
     for number in np.setdiff1d(np.arange(len(one.places)), missing).tolist():
         yield from _find_deficits(one, number, expected, origin, rules)
@@ -99,7 +100,9 @@ def _find_deficits(
             where = f"{start_m:.0f} m of span {span_id}"
             reason = f"{level} of {expected} conductors for {length_m:.1f} m from {where}"
         rows, place = one.rows_showing(bins), one.place(bins, origin)
-        yield Finding(kind, rows, reason, length_m, limit_m, "m", span_id=span_id, place=place)
+        yield Finding(
+            kind, rows, reason, length_m, limit_m, "m", span_id=span_id, place=place, conductors=(number,)
+        )
 
 
 def _close_gaps(mask: Mask, longest: float) -> Mask:
@@ -128,9 +131,7 @@ def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) ->
     return bool(first_here - first >= _TRACK_START_FRAMES or evidence >= 2 * _TRACK_START_FRAMES)
 
 
-def _count_finding(
-    one: SpanEvidence, bins: Ints, level: int, expected: int, origin: LocalMetres
-) -> Finding:
+def _count_finding(one: SpanEvidence, bins: Ints, level: int, expected: int, origin: LocalMetres) -> Finding:
     span_id = one.axis.span_id
     reason = f"{level} conductors along span {span_id}, where {expected} are expected"
     rows, place = one.rows_showing(bins), one.place(bins, origin)

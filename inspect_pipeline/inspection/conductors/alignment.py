@@ -1,4 +1,4 @@
-"""Align the frames of spans to each other: errors of poses shift, turn and scale all lines of a frame alike."""
+"""Align frames to each other: errors of poses shift, turn and scale all lines of a frame alike."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ _CELL_M, _REACH_M = 0.1, 15.0  # of histograms across
 _BLURS_M = (0.5, 0.25, 0.15)  # from coarse to fine
 _ROUNDS = 3
 _SHIFT_PENALTY, _SCALE_PENALTY = 0.05, 0.05  # of the agreement, at one standard deviation
+_STAY = 0.05  # of the agreement, by which it must rise before anything is moved
 _SCALES, _SCALE_SD = np.linspace(0.76, 1.24, 9), 0.15
 _MIN_RUN_BINS = 5  # of a line whose direction counts
 _TURN_SD, _TURN_NOISE_M = 0.05, 0.1  # of the direction of all lines of a frame, in m per m; of a line
@@ -110,6 +111,9 @@ def _fit_patterns(
     steps = np.arange(-reach, reach + 1)
     penalties = _SHIFT_PENALTY * (steps * _CELL_M / limits.sd_m) ** 2
     penalties = penalties + _SCALE_PENALTY * ((_SCALES - 1) / _SCALE_SD)[:, np.newaxis] ** 2
+    penalties += np.where(
+        (steps == 0) & (np.arange(len(_SCALES)) == len(_SCALES) // 2)[:, np.newaxis], 0.0, _STAY
+    )
     chosen = np.tile((len(_SCALES) // 2, 0), (n_groups, 1))
     shown = np.flatnonzero(banks[:, chosen[0, 0]].any(axis=1)).tolist()
     for blur_m in _BLURS_M:

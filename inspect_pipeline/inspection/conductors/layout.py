@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from inspect_pipeline.arrays import Floats, Ints
+    from inspect_pipeline.arrays import Ints
     from inspect_pipeline.inspection.conductors.sight import SpanSight
 
 _CELL_M, _REACH_M = 0.05, 12.0
@@ -45,7 +45,7 @@ def find_places(sights: Sequence[SpanSight]) -> list[Place]:
             if not pool.retry():
                 break
             continue
-        if all(pool.is_other(own, place, other) for other in places):
+        if all(pool.is_other(own, other) for other in places):
             places.append(place)
     return sorted(places, key=lambda place: place.across_m)
 
@@ -99,17 +99,17 @@ class _Pool:
         bins = np.unique(key) // (self.frames.max() + 1)
         seen = np.bincount(bins, minlength=self.views.size).reshape(self.views.shape)
         steady = (seen >= _MIN_SHARE * self.views) & (seen >= _MIN_VIEWS)
-        n_steady = np.count_nonzero(steady.sum(axis=1) >= _MIN_BINS)
-        n_seen = np.count_nonzero((self.views >= _MIN_VIEWS).sum(axis=1) >= _MIN_BINS)
+        n_steady = int(np.count_nonzero(steady.sum(axis=1) >= _MIN_BINS))
+        n_seen = int(np.count_nonzero((self.views >= _MIN_VIEWS).sum(axis=1) >= _MIN_BINS))
         return bool(n_steady >= max(1, n_seen // 2))
 
     def retry(self) -> bool:
         """Return whether to look for further places after one that was not steady."""
         self.n_failures += 1
-        return self.n_failures < 3  # noqa: PLR2004 - a few peaks of clutter
+        return self.n_failures < 3
 
-    def is_other(self, own: Ints, place: Place, other: Place) -> bool:
-        """Return whether a place is another conductor than a known one: frames show both at once."""
+    def is_other(self, own: Ints, other: Place) -> bool:
+        """Return whether crossings are of another conductor than a known one: frames show both at once."""
         i = int(np.flatnonzero(other.raised_m == _HEIGHTS_M)[0])
         away = np.abs(self.lifted[i] - other.across_m)
         nearest = np.median(np.abs(self.lifted[i][own] - other.across_m)) if len(own) else 0.0

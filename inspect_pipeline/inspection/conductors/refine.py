@@ -46,9 +46,7 @@ def refine(
     sights, places, sd = list(aligned), list(places), _MOST_SD
     for _ in range(_ROUNDS):
         matches = [_match(one, places) for one in sights]
-        corrections = [
-            _correct(one, found, places, sd) for one, found in zip(raw, matches, strict=True)
-        ]
+        corrections = [_correct(one, found, places, sd) for one, found in zip(raw, matches, strict=True)]
         known = np.concatenate(corrections)
         known = known[known.any(axis=1)]
         if len(known):  # what all frames have in common is no error of single poses
@@ -57,7 +55,18 @@ def refine(
         sights = [_apply(one, found) for one, found in zip(raw, corrections, strict=True)]
         places = [_fit(k, place, sights, matches) for k, place in enumerate(places)]
         places = _centre(_merge(places, sights), sights)
-    return sights, places
+    return [_with_noise(one, places) for one in sights], places
+
+
+def _with_noise(sight: SpanSight, places: Sequence[Place]) -> SpanSight:
+    """Return the sight with the noise of its crossings measured."""
+    found = _match(sight, places)
+    away = [
+        np.abs(sight.view.across_m[rows] - predict_across(sight, rows, place)[0])
+        for k, place in enumerate(places)
+        if len(rows := found.rows[found.places == k])
+    ]
+    return replace(sight, noise_m=_MEDIAN_TO_SD * float(np.median(np.concatenate(away)))) if away else sight
 
 
 def _match(sight: SpanSight, places: Sequence[Place]) -> _Matches:

@@ -25,8 +25,9 @@ class SpanSight:
 
     view: crossings (C,) of lines with bins, at the nominal height of the conductors. from_m, side_m (N,):
     positions of the camera along and to the left. above_m (N, B): heights of the camera above the nominal
-    conductor. scale_px (N, B): pixels per metre across, perpendicular to the span in the image. gsd_m (N, B): of the view. shown, coarse
-    (N, B): where a frame shows a bin, and where too coarsely.
+    conductor. scale_px (N, B): pixels per metre across, perpendicular to the span in the image. gsd_m (N, B):
+    metres per pixel. shown, coarse (N, B): where a frame shows a bin, and where too coarsely. noise_m:
+    standard deviation of crossings about the places of conductors.
     """
 
     axis: SpanAxis
@@ -41,6 +42,7 @@ class SpanSight:
     gsd_m: Floats
     shown: Mask
     coarse: Mask
+    noise_m: float = 0.1
 
     @property
     def fine(self) -> Mask:
@@ -86,7 +88,9 @@ def look_at_span(
 ) -> SpanSight:
     """Return what frames show of a span; `lines` count their frames from the first of `rows`."""
     view = view_span(axis, cameras, lines, rules)
-    shown = np.isfinite(view_span(axis, cameras, lines.take(np.zeros(0, np.int64)), rules, _margin(rules)).gsd_m)
+    shown = np.isfinite(
+        view_span(axis, cameras, lines.take(np.zeros(0, np.int64)), rules, _margin(rules)).gsd_m
+    )
     ground = cameras.positions[:, :2] - axis.start
     return SpanSight(
         axis=axis,

@@ -22,10 +22,17 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
 
 NO_CONDUCTOR = -1
-_NEAR_PX, _NEAR_M, _MAX_NEAR_M = 4.0, 0.12, 0.5  # of a conductor's place: within both, a line belongs to it
+_NEAR_PX, _NEAR_SD, _MAX_NEAR_M = 4.0, 2.5, 0.5  # of a conductor's place: nearer lines belong to it
+_APART, _ALONE = (
+    1.2,
+    2.5,
+)  # times that: nearer conductors say nothing of each other, or not that one is absent
 _MIN_LINE_SHARE = 0.4  # of a line near a conductor, from which on all of it belongs to that
 _MIN_TRACK_SHARE = 0.5  # the same of a track over all frames, for lines that are near none
-_MAX_DISPLACED_M, _MIN_DISPLACED_BINS = 2.5, 4  # of a line of a conductor that hangs elsewhere than on other spans
+_MAX_DISPLACED_M, _MIN_DISPLACED_BINS = (
+    2.5,
+    4,
+)  # of a line of a conductor that hangs elsewhere than on other spans
 _MISSED_WEIGHT = 0.5  # of a frame in which a conductor was found nowhere: it may have been missed
 _MIN_DEPTH_M = 0.5  # of conductors below the camera
 _MIN_FOUND = 0.5  # of the conductors that a frame shows; others of poor detection or pose say nothing
@@ -56,19 +63,28 @@ def count_votes(sight: SpanSight, places: Sequence[Place], rules: Rules) -> Vote
     """Return the votes of all frames on conductors at known places."""
     appears = _appear(sight, places)  # (N, K, B)
     owner = _own_lines(sight, appears)
-    found = _find_crossings(sight, appears, owner)
-    isolated = _are_isolated(appears, sight.scale_px, rules.anomalies["aligned_px"])
     bins, is_shown = _shown_bins(sight, places, rules)
-    found, isolated = (np.take_along_axis(mask, bins, axis=2) for mask in (found, isolated))
+    near_px = _near_m(sight) * sight.scale_px
+    found, isolated, is_alone = (
+        np.take_along_axis(mask, bins, axis=2)
+        for mask in (
+            _find_crossings(sight, appears, owner),
+            _are_isolated(
+                appears, sight.scale_px, np.maximum(rules.anomalies["aligned_px"], _APART * near_px)
+            ),
+            _are_isolated(appears, sight.scale_px, _ALONE * near_px),
+        )
+    )
     visible = is_shown & ~sight.coarse[:, np.newaxis]
-    present = found & visible
-    in_frame = present.any(axis=2)
+    present: Mask = found & visible
+    in_frame = np.asarray(present.any(axis=2))
     with np.errstate(invalid="ignore"):
         fineness = np.clip(1.5 - sight.gsd_m / rules.coverage["max_gsd_m"], 0.5, 1.0)
-    weight = np.where(visible & isolated, np.nan_to_num(fineness)[:, np.newaxis], 0.0)
+    says: Mask = visible & isolated & (present | is_alone)
+    weight = np.where(says, np.nan_to_num(fineness)[:, np.newaxis], 0.0)
     weight *= np.where(in_frame, 1.0, _MISSED_WEIGHT)[:, :, np.newaxis]
-    weight[_share_found(in_frame, visible & isolated) < _MIN_FOUND] = 0.0
-    hidden = (visible & ~isolated).sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
+    weight[_share_found(in_frame, says) < _MIN_FOUND] = 0.0
+    hidden = np.asarray(visible & ~says).sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
     return Votes(owner, in_frame, weight, np.where(present, 0.0, weight), hidden)
 
 
@@ -106,7 +122,9 @@ def _shown_bins(sight: SpanSight, places: Sequence[Place], rules: Rules) -> tupl
         with np.errstate(invalid="ignore"):
             number = np.nan_to_num(np.round(along_m / axis.bin_m - 0.5), nan=-1.0).astype(np.int64)
         is_inside = (number >= 0) & (number < len(axis.centres))
-        points = axis.centres + np.column_stack((np.outer(np.full(len(lifted_m), place.across_m), axis.across), lifted_m))
+        points = axis.centres + np.column_stack(
+            (np.outer(np.full(len(lifted_m), place.across_m), axis.across), lifted_m)
+        )
         gsd_m = visible_gsd_m(sight.cameras, points, rules.anomalies["margin_px"])
         bins[:, k] = np.clip(number, 0, len(axis.centres) - 1)
         shown[:, k] = is_inside & np.isfinite(gsd_m)
@@ -114,12 +132,13 @@ def _shown_bins(sight: SpanSight, places: Sequence[Place], rules: Rules) -> tupl
 
 
 def _near_m(sight: SpanSight) -> Floats:
+    """Return how near to a place (N, B) lines belong to it."""
     with np.errstate(divide="ignore"):
-        return np.minimum(_NEAR_M + _NEAR_PX / sight.scale_px, _MAX_NEAR_M)
+        return np.minimum(_NEAR_SD * sight.noise_m + _NEAR_PX / sight.scale_px, _MAX_NEAR_M)
 
 
 def _own_lines(sight: SpanSight, appears: Floats) -> Ints:
-    """Return the conductor (L,) of each line: the one that most of it is nearest to, else that of its track."""
+    """Return the conductor (L,) of each line: the one nearest to most of it, else that of its track."""
     view, n_lines, n_places = sight.view, len(sight.lines), appears.shape[1]
     votes = np.zeros((n_lines, n_places + 1))
     if not len(view.line):
@@ -165,14 +184,14 @@ def _winners(votes: Floats, min_share: float) -> Ints:
     return np.where((most > 0) & (most >= min_share * votes.sum(axis=1)), best, NO_CONDUCTOR)
 
 
-def _are_isolated(appears: Floats, scale_px: Floats, least_px: float) -> Mask:
-    """Return where (N, K, B) no other conductor appears within some pixels."""
+def _are_isolated(appears: Floats, scale_px: Floats, least_px: Floats) -> Mask:
+    """Return where (N, K, B) no other conductor appears within some pixels (N, B)."""
     order = np.argsort(appears, axis=1)
     apart_px = np.diff(np.take_along_axis(appears, order, axis=1), axis=1) * scale_px[:, np.newaxis]
     far = np.full((appears.shape[0], 1, appears.shape[2]), np.inf)
     nearest = np.minimum(np.concatenate((far, apart_px), axis=1), np.concatenate((apart_px, far), axis=1))
     isolated = np.zeros(appears.shape, bool)
-    np.put_along_axis(isolated, order, nearest >= least_px, axis=1)
+    np.put_along_axis(isolated, order, nearest >= least_px[:, np.newaxis], axis=1)
     return isolated
 
 

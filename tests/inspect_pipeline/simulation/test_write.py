@@ -138,8 +138,18 @@ def test_every_option_of_the_command_counts(
     tmp_path: Path, flat_ground: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = "--seconds 8 --fps 1 --size 96x64 --seed 4 --flight orbit --structures 4 --phases 2 --bundle 2"
+    noise = "--circuits 2 --position-noise 1 --drift 0.5 --attitude-noise 0.1"
     target = tmp_path / "a.mcap"
-    arguments = [*options.split(), "--fault", "blur", "--fault", "missing_conductor", "--schema", "ros2"]
+    arguments = [
+        *options.split(),
+        *noise.split(),
+        "--fault",
+        "blur",
+        "--fault",
+        "missing_conductor",
+        "--schema",
+        "ros2",
+    ]
     monkeypatch.setattr(sys, "argv", ["lsnet-pipe", "simulate", str(target), *arguments])
     with pytest.raises(SystemExit):
         cli.main()
@@ -154,6 +164,10 @@ def test_every_option_of_the_command_counts(
         "n_structures": 4,
         "n_phases": 2,
         "n_bundle": 2,
+        "n_circuits": 2,
+        "position_noise_m": 1.0,
+        "drift_m": 0.5,
+        "attitude_noise_deg": 0.1,
         "faults": ["blur", "missing_conductor"],
         "schema": "ros2",
         "ground": None,

@@ -13,7 +13,7 @@ from inspect_rows import flight, rules, span
 from inspect_pipeline.errors import RulesError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.reading import select
-from inspect_pipeline.inspection.anomalies.find import Reviewed, find_anomalies, with_ids
+from inspect_pipeline.inspection.anomalies.find import Reviewed, find_anomalies, inspect_cameras, with_ids
 from inspect_pipeline.inspection.rows import CameraRows, LineRows
 from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.inspection.spans import import_spans
@@ -161,13 +161,28 @@ def test_a_line_across_the_others_is_told() -> None:
     assert one.value == pytest.approx(87.1, abs=0.2)
 
 
-def test_a_conductor_that_is_missing_all_along_is_counted() -> None:
-    """16 m of the span are shown; two lines where the span says three."""
+def test_a_conductor_that_no_span_shows_may_be_hidden() -> None:
+    """Two lines where the span says three: one is missing, or always behind another; nobody can know."""
     present = np.tile([True, False, True], (40, 1))
-    (one,) = (a for a in find_anomalies([three_lines(40, present)], [span(expected=3)], RULES))
-    assert (one.kind, one.value, one.threshold, one.span_id) == ("conductor_count", 2, 3, "A-B")
+    found = inspect_cameras([three_lines(40, present)], [span(expected=3)], RULES)
+    assert not found.anomalies
+    metres = {one.outcome: one.length_m for one in found.judgements if one.kind == "conductor_count"}
+    assert "judged" not in metres
+    assert metres["wires aligned"] > 10
+    everything = inspect_cameras([three_lines(40, np.ones((40, 3), bool))], [span(expected=3)], RULES)
+    assert not everything.anomalies
+    assert "judged" in {one.outcome for one in everything.judgements if one.kind == "conductor_count"}
+
+
+def test_a_line_that_ends_in_the_picture_is_a_lost_conductor() -> None:
+    camera = three_lines(40, np.ones((40, 3), bool))
+    points = camera.lines.points.copy().reshape(-1, 2, 2)
+    points[camera.lines.track == 1, 1, 1] = 500.0  # the one in the middle ends there
+    cut = replace(camera, lines=replace(camera.lines, points=points.reshape(-1, 2)))
+    (one,) = find_anomalies([cut], [span(expected=3)], RULES)
+    assert (one.kind, one.span_id) == ("conductor_lost", "A-B")
+    assert "2 of 3 conductors beyond 50 m" in one.reason
     assert one.lat_deg == pytest.approx(52.0, abs=1e-5)
-    assert not find_anomalies([three_lines(40, np.ones((40, 3), bool))], [span(expected=3)], RULES)
 
 
 def test_lines_missed_here_and_there_are_no_anomaly() -> None:

@@ -11,7 +11,7 @@ import pytest
 from inspect_rows import FOCAL_PX, PERIOD_NS, flight, rules, span
 
 from inspect_pipeline.geometry.camera import CameraPoses, camera_axes
-from inspect_pipeline.inspection.anomalies.find import find_anomalies
+from inspect_pipeline.inspection.anomalies.find import inspect_cameras
 from inspect_pipeline.inspection.coverage.measure import measure_coverage
 from inspect_pipeline.inspection.lines import carry_over
 from inspect_pipeline.inspection.rows import NO_TRACK, LineRows
@@ -110,9 +110,11 @@ def test_spans_that_are_far_change_no_row() -> None:
         assert (ours.span_id, ours.bin_m) == (theirs.span_id, theirs.bin_m)
         for name in ("n_frames", "n_detected", "best_gsd_m", "first_ns", "last_ns"):
             assert getattr(ours, name).tobytes() == getattr(theirs, name).tobytes()
-    found = find_anomalies([camera], own, rules())
-    assert any(one.span_id for one in found)
-    assert find_anomalies([camera], [*far[:5], *own, *far[5:]], rules()) == found
+    found, more = (inspect_cameras([camera], spans, rules()) for spans in (own, [*far[:5], *own, *far[5:]]))
+    names = {one.span_id for one in own}
+    assert {one.span_id for one in found.judgements} == names
+    assert [one for one in more.judgements if one.span_id in names] == found.judgements
+    assert more.anomalies == found.anomalies
 
 
 def test_cameras_see_what_projects_into_their_pictures() -> None:

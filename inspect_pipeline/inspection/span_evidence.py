@@ -56,9 +56,10 @@ class SpanEvidence:
         return self.sight.axis
 
     def rows_showing(self, bins: Ints) -> Ints:
-        """Return the longest run of frames that show at least half as many of the bins as any frame does."""
-        shown = self.sight.fine[:, bins].sum(axis=1)
-        longest = max(find_runs(shown >= shown.max() / 2, 1), key=len)
+        """Return the longest run of usable frames that show at least half as many of the bins as any does."""
+        usable = np.flatnonzero(np.isfinite(self.sight.from_m))
+        shown = self.sight.fine[usable][:, bins].sum(axis=1)
+        longest = usable[max(find_runs(shown >= shown.max() / 2, 1), key=len)]
         return np.arange(self.sight.rows[longest[0]], self.sight.rows[longest[-1]] + 1)
 
     def place(self, bins: Ints, origin: LocalMetres) -> tuple[float, float]:

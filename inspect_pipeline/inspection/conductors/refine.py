@@ -43,7 +43,7 @@ def refine(
 
     raw: as recorded. aligned: the same, aligned well enough to match lines with places.
     """
-    sights, places, sd = list(aligned), list(places), _MOST_SD
+    sights, places, sd = list(aligned), list(places), _first_sd(raw, aligned)
     for _ in range(_ROUNDS):
         matches = [_match(one, places) for one in sights]
         corrections = [_correct(one, found, places, sd) for one, found in zip(raw, matches, strict=True)]
@@ -56,6 +56,16 @@ def refine(
         places = [_fit(k, place, sights, matches) for k, place in enumerate(places)]
         places = _centre(_merge(places, sights), sights)
     return [_with_noise(one, places) for one in sights], places
+
+
+def _first_sd(raw: Sequence[SpanSight], aligned: Sequence[SpanSight]) -> Floats:
+    """Return the standard deviation of corrections by how far the first alignment moved frames."""
+    pairs = [(one, other) for one, other in zip(raw, aligned, strict=True) if len(one.rows)]
+    shift_m = np.concatenate([np.abs(other.side_m - one.side_m) for one, other in pairs])
+    scale = np.concatenate([np.abs(other.above_m / one.above_m - 1)[:, 0] for one, other in pairs])
+    moved = _MEDIAN_TO_SD * np.array([np.nanmedian(shift_m), np.nanmedian(scale)])
+    share = np.clip(moved / _MOST_SD[[0, 2]], 0.0, 1.0).max()
+    return np.asarray(np.maximum(share * _MOST_SD, 2 * _LEAST_SD))
 
 
 def _with_noise(sight: SpanSight, places: Sequence[Place]) -> SpanSight:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.anomalies.counts import CountRows
     from inspect_pipeline.inspection.anomalies.find import Anomaly
     from inspect_pipeline.inspection.coverage.measure import FlightCoverage
-    from inspect_pipeline.inspection.rows import CameraRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
     from inspect_pipeline.store.store import Store

@@ -1,22 +1,30 @@
-"""Frames through the detector: batches decoded one ahead, and counts of what could not be decoded."""
+"""Frames through the detector: decoded and detected in threads, in bounded queues; what could not be decoded.
+
+frames ── decode, quality (threads) ── prepare, infer, merge (threads) ── in order to the caller
+"""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, defaultdict, deque
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, NamedTuple
+from contextlib import contextmanager
+from threading import Lock
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from inspect_pipeline.images.quality import ImageQuality, measure_quality
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from concurrent.futures import Future
 
+    from inspect_pipeline.recording.frames import UndecodedFrame
     from inspect_pipeline.recording.types import Frame
     from lsnet import Detections, Detector
 
-_BATCH_FRAMES = 8
-_BATCH_BYTES = 32 << 20  # of pixels; two batches are in memory at a time
+_A = TypeVar("_A")
+_B = TypeVar("_B")
+_QUEUE_BYTES = 64 << 20  # of pixels in each of the two queues
 
 
 class ProcessedFrame(NamedTuple):
@@ -28,41 +36,133 @@ class ProcessedFrame(NamedTuple):
     infer_ms: float | None = None
 
 
-def detect_frames(frames: Iterable[Frame], detector: Detector) -> Iterator[ProcessedFrame]:
-    """Yield every frame with its detections; the next batch is decoded while one is detected."""
-    for batch in _one_ahead(_batches(frames)):
-        images = [each.frame.image for each in batch if each.frame.image is not None]
-        started = time.perf_counter()
-        found = iter(detector.detect(images) if images else [])
-        infer_ms = (time.perf_counter() - started) * 1e3 / max(len(images), 1)
-        for each in batch:
-            if each.frame.image is None:
-                yield each
-            else:
-                yield each._replace(detections=next(found), infer_ms=infer_ms)
+class StageTimes:
+    """Wall and CPU time of the stages of a recording, from any threads.
+
+    OpenVINO and torch compute in threads of their own, so the stage `infer` is charged with the CPU time of
+    the process that no other stage has used.
+    """
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._wall_s: defaultdict[str, float] = defaultdict(float)
+        self._cpu_s: defaultdict[str, float] = defaultdict(float)
+        self._started, self._started_cpu = time.perf_counter(), time.process_time()
+
+    @contextmanager
+    def measure(self, stage: str) -> Iterator[None]:
+        """Add the time that the block takes to a stage."""
+        started, started_cpu = time.perf_counter(), time.thread_time()
+        yield
+        wall_s, cpu_s = time.perf_counter() - started, time.thread_time() - started_cpu
+        with self._lock:
+            self._wall_s[stage] += wall_s
+            self._cpu_s[stage] += cpu_s
+
+    @property
+    def wall_s(self) -> float:
+        """Time since the beginning."""
+        return time.perf_counter() - self._started
+
+    def stages(self) -> dict[str, tuple[float, float]]:
+        """Return wall and CPU seconds of each stage; those of different threads overlap."""
+        cpu_s = time.process_time() - self._started_cpu
+        rest_s = cpu_s - sum(spent for stage, spent in self._cpu_s.items() if stage != "infer")
+        return {
+            stage: (wall_s, rest_s if stage == "infer" else self._cpu_s[stage])
+            for stage, wall_s in self._wall_s.items()
+        }
 
 
-def _batches(frames: Iterable[Frame]) -> Iterator[list[ProcessedFrame]]:
-    """Group decoded frames with their quality, limited in number and in bytes."""
+def detect_frames(
+    frames: Iterable[UndecodedFrame], detector: Detector, times: StageTimes | None = None
+) -> Iterator[ProcessedFrame]:
+    """Yield every frame with its detections, in order; the next ones are decoded and detected meanwhile."""
+    times = times or StageTimes()
+    room = _Room()
+
+    def decode(frame: UndecodedFrame) -> ProcessedFrame:
+        with times.measure("decode"):
+            decoded = frame.decode()
+        if decoded.image is None:
+            return ProcessedFrame(decoded)
+        room.note(decoded.image.nbytes)
+        with times.measure("quality"):
+            return ProcessedFrame(decoded, measure_quality(decoded.image))
+
+    def detect(batch: list[ProcessedFrame]) -> list[ProcessedFrame]:
+        return _detect(batch, detector, times)
+
+    n_decoders, n_images = max(1, detector.threads // 2), detector.n_images
+    with ThreadPoolExecutor(n_decoders) as decoders, ThreadPoolExecutor(detector.n_calls + 1) as detectors:
+        undecoded = _timed(iter(frames), times)
+        decoded = _in_order(decoders, decode, undecoded, lambda: room.limit(n_decoders + 2 * n_images))
+        batches = _batches(decoded, lambda: room.limit(n_images))
+        limit = detector.n_calls + 1
+        for batch in _in_order(detectors, detect, batches, lambda: room.limit(limit * n_images) // n_images):
+            yield from batch
+
+
+def _detect(batch: list[ProcessedFrame], detector: Detector, times: StageTimes) -> list[ProcessedFrame]:
+    images = [each.frame.image for each in batch if each.frame.image is not None]
+    started = time.perf_counter()
+    found = iter(detector.detect(images, timed=times.measure) if images else [])
+    infer_ms = (time.perf_counter() - started) * 1e3 / max(len(images), 1)
+    return [
+        each if each.frame.image is None else each._replace(detections=next(found), infer_ms=infer_ms)
+        for each in batch
+    ]
+
+
+class _Room:
+    """How many frames may wait, by the size of the largest so far; one until the first is decoded."""
+
+    def __init__(self) -> None:
+        self._n_bytes = 0
+
+    def note(self, n_bytes: int) -> None:
+        self._n_bytes = max(self._n_bytes, n_bytes)
+
+    def limit(self, most: int) -> int:
+        return max(1, min(most, _QUEUE_BYTES // self._n_bytes)) if self._n_bytes else 1
+
+
+def _in_order(
+    pool: ThreadPoolExecutor, function: Callable[[_A], _B], items: Iterable[_A], limit: Callable[[], int]
+) -> Iterator[_B]:
+    """Yield what a function makes of each item in the threads of a pool, at most so many items ahead."""
+    waiting: deque[Future[_B]] = deque()
+    try:
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            while len(waiting) > limit():
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _batches(frames: Iterable[ProcessedFrame], size: Callable[[], int]) -> Iterator[list[ProcessedFrame]]:
     batch: list[ProcessedFrame] = []
-    n_bytes = 0
     for frame in frames:
-        batch.append(ProcessedFrame(frame, None if frame.image is None else measure_quality(frame.image)))
-        n_bytes += 0 if frame.image is None else frame.image.nbytes
-        if len(batch) == _BATCH_FRAMES or n_bytes >= _BATCH_BYTES:
+        batch.append(frame)
+        if len(batch) >= size():
             yield batch
-            batch, n_bytes = [], 0
+            batch = []
     if batch:
         yield batch
 
 
-def _one_ahead(batches: Iterator[list[ProcessedFrame]]) -> Iterator[list[ProcessedFrame]]:
-    """Yield the same batches; a thread makes the next one while the current one is in use."""
-    with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(next, batches, None)
-        while (batch := coming.result()) is not None:
-            coming = pool.submit(next, batches, None)
-            yield batch
+def _timed(frames: Iterator[UndecodedFrame], times: StageTimes) -> Iterator[UndecodedFrame]:
+    """Yield the same frames; reading them is a stage."""
+    while True:
+        with times.measure("read"):
+            frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
 
 
 class DecodeCounts:

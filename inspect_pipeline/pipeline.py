@@ -1,6 +1,6 @@
 """The path of a recording: read, detect, track, write annotations and rows.
 
-recording ── iter_frames ── detect_frames ── FlightTracker ──┬── annotated.mcap, or annotations.mcap
+recording ── iter_undecoded ── detect_frames ── FlightTracker ──┬── annotated.mcap, or annotations.mcap
                                                              └── rows of frames, lines, tracks, … in parquet
 """
 
@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Literal
 
 from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator, message_format
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
-from inspect_pipeline.detection import DecodeCounts, detect_frames
+from inspect_pipeline.detection import DecodeCounts, StageTimes, detect_frames
 from inspect_pipeline.errors import EmptyResultError
 from inspect_pipeline.georeference.signals import read_signals
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.recording.append import annotated_copy, sidecar, unchanged
-from inspect_pipeline.recording.frames import iter_frames
+from inspect_pipeline.recording.frames import iter_undecoded
 from inspect_pipeline.recording.reader import RUN_METADATA, join_phrases, open_recording
 from inspect_pipeline.store.records import ANNOTATED, SIDECAR, FlightRecord, ProcessResult
 from inspect_pipeline.store.store import Store
@@ -58,6 +58,7 @@ def process(
     *,
     on_progress: Callable[[Progress], object] = lambda _: None,
     on_wait: Callable[[], object] = lambda: None,
+    times: StageTimes | None = None,
 ) -> ProcessResult:
     """Detect the lines of a recording and write them to the store, completely or not at all.
 
@@ -73,6 +74,7 @@ def process(
         run: the run that the flight belongs to; by default one of its own.
         on_progress: called after every frame.
         on_wait: called when another process works on this flight, before waiting for its end.
+        times: takes the time of each stage.
 
     Raises:
         RecordingError: the recording cannot be read, or has no camera.
@@ -101,7 +103,14 @@ def process(
         if known and _is_done(known, run, options):
             return _to_skipped(_to_result(known, path, store, started))
         record = _write_flight(
-            recording, cameras, detector, options, run, folder=staging.path, on_progress=on_progress
+            recording,
+            cameras,
+            detector,
+            options,
+            run,
+            folder=staging.path,
+            on_progress=on_progress,
+            times=times or StageTimes(),
         )
         if known and not options.allow_empty:
             _refuse_empty(path, known, record)
@@ -144,6 +153,7 @@ def _write_flight(
     *,
     folder: Path,
     on_progress: Callable[[Progress], object],
+    times: StageTimes,
 ) -> FlightRecord:
     """Detect and track the lines of every frame, and write annotations and tables into `folder`."""
     model = model_record(detector)
@@ -154,7 +164,7 @@ def _write_flight(
     signals = read_signals(recording, options.signals)
     georeferencer = Georeferencer.of(recording, options.placing)
     tracker = FlightTracker()
-    frames = iter_frames(
+    frames = iter_undecoded(
         recording, cameras, every=options.every, start_ns=options.start_ns, end_ns=options.end_ns
     )
     decoded = DecodeCounts()
@@ -168,24 +178,29 @@ def _write_flight(
             out.add_metadata(RUN_METADATA, run_metadata(recording.flight_id, run, model))
             schema = message_format(options.schema, recording.profile)
             annotator = FrameAnnotator(out, schema, model.score_threshold)
-        for n_frames, each in enumerate(detect_frames(frames, detector), 1):
-            pose = georeferencer.place(each.frame)
-            track_ids = tracker.follow(each.frame, each.detections.lines, pose) if each.detections else None
+        for n_frames, each in enumerate(detect_frames(frames, detector, times), 1):
+            with times.measure("track"):
+                pose = georeferencer.place(each.frame)
+                found = each.detections
+                track_ids = tracker.follow(each.frame, found.lines, pose) if found else None
             if annotator:
-                annotator.write(each.frame, each.detections)
-            tables.add_frame(
-                each.frame,
-                each.detections,
-                track_ids,
-                infer_ms=each.infer_ms,
-                sharpness=each.quality.sharpness if each.quality else None,
-                mean_luma=each.quality.mean_luma if each.quality else None,
-                place=pose,
-                signals=signals.at(each.frame.log_time_ns),
-            )
+                with times.measure("annotate"):
+                    annotator.write(each.frame, found)
+            with times.measure("index"):
+                tables.add_frame(
+                    each.frame,
+                    found,
+                    track_ids,
+                    infer_ms=each.infer_ms,
+                    sharpness=each.quality.sharpness if each.quality else None,
+                    mean_luma=each.quality.mean_luma if each.quality else None,
+                    place=pose,
+                    signals=signals.at(each.frame.log_time_ns),
+                )
             decoded.add(each.frame)
             on_progress(Progress(n_frames, n_expected))
-        totals = tables.finish(tracker.finish())
+        with times.measure("index"):
+            totals = tables.finish(tracker.finish())
     lost = (*recording.losses, *recording.identity.losses, *frames.losses)
     lost = (*lost, *georeferencer.poses.losses, *signals.losses)
     losses = tuple(dict.fromkeys((*lost, *(out.losses if out else ()))))

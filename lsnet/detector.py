@@ -6,6 +6,7 @@ output into segments and lines and undoes the resizing.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ from lsnet.tiles import join, tiles_of
 from lsnet.weights_file import read_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from contextlib import AbstractContextManager
 
     from lsnet.arrays import ImageArray, Maps
     from lsnet.images import ColorOrder, ImageInput
@@ -94,11 +96,25 @@ class Detector:
 
     @property
     def threads(self) -> int:
-        """Number of threads of the backend."""
+        """Number of threads of the CPU that the backend uses."""
         return self._backend.threads
 
+    @property
+    def n_calls(self) -> int:
+        """Calls of `detect` at a time, from several threads, that keep the backend busy."""
+        return self._backend.n_calls
+
+    @property
+    def n_images(self) -> int:
+        """Images of one size in a call that the backend runs together."""
+        return self._backend.n_images
+
     def detect(
-        self, images: ImageInput | Sequence[ImageInput], *, color: ColorOrder = "rgb"
+        self,
+        images: ImageInput | Sequence[ImageInput],
+        *,
+        color: ColorOrder = "rgb",
+        timed: Callable[[str], AbstractContextManager[object]] = nullcontext,
     ) -> list[Detections]:
         """Detect segments and lines; one result per image, in the pixels of that image.
 
@@ -106,6 +122,7 @@ class Detector:
             images: Paths of image files, or uint8 arrays (height, width, 3). A single one is a batch of one.
             color: Order of the channels of arrays: rgb, or bgr as `cv2.imread` returns. The order cannot
                 be recognised, and the wrong one costs accuracy.
+            timed: Called with the name of each stage, prepare, infer and merge, for a context to run it in.
 
         Raises:
             LSNetError: A file cannot be read, or an array has another shape or type.
@@ -113,9 +130,12 @@ class Detector:
         if isinstance(images, str | Path) or (isinstance(images, np.ndarray) and images.ndim <= 3):
             images = [images]
         opened = [open_rgb(image, color) for image in images]
-        prepared = [prepare(image, self.scale_of(image)) for image in opened]
-        maps = self._run(prepared)
-        return [self._postprocess(m, image) for m, image in zip(maps, prepared, strict=True)]
+        with timed("prepare"):
+            prepared = [prepare(image, self.scale_of(image)) for image in opened]
+        with timed("infer"):
+            maps = self._run(prepared)
+        with timed("merge"):
+            return [self._postprocess(m, image) for m, image in zip(maps, prepared, strict=True)]
 
     def scale_of(self, image: ImageArray) -> float:
         """Return the factor by which an image is resized before detection."""

@@ -18,13 +18,21 @@ class _Options(NamedTuple):
     runtime: str
     scale: float | None
     min_score: float | None
+    device: str | None
 
 
 class LateDetector:
     """The options of a detector, which is loaded once, when it is first needed."""
 
-    def __init__(self, weights: str, runtime: str, scale: float | None, min_score: float | None) -> None:
-        self._options = _Options(weights, runtime, scale, min_score)
+    def __init__(
+        self,
+        weights: str,
+        runtime: str,
+        scale: float | None,
+        min_score: float | None,
+        device: str | None = None,
+    ) -> None:
+        self._options = _Options(weights, runtime, scale, min_score, device)
 
     def describe(self) -> Mapping[str, str | int | float]:
         """Return what determines the results, without loading where possible. Raises LSNetError."""
@@ -42,5 +50,5 @@ class LateDetector:
         with stop_after_block():
             from lsnet import Detector
 
-            weights, runtime, scale, min_score = self._options
-            return Detector.load(weights, runtime=runtime, scale=scale, min_score=min_score)
+            options = self._options._asdict()
+            return Detector.load(options.pop("weights"), **options)

@@ -103,6 +103,10 @@ MinScoreOption = Annotated[
         help="Minimum score of a line. Default: that of the weights.",
     ),
 ]
+DeviceOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Device of torch: cpu, cuda or cuda:N. Default: a GPU, if any."),
+]
 RuntimeOption = Annotated[
     str,
     typer.Option(

@@ -13,6 +13,7 @@ import typer
 from inspect_pipeline.commands.detector import LateDetector
 from inspect_pipeline.commands.options import (
     DemOption,
+    DeviceOption,
     EveryOption,
     GroundAltOption,
     JsonOption,
@@ -38,6 +39,7 @@ from inspect_pipeline.commands.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from inspect_pipeline.detection import StageTimes
     from inspect_pipeline.store.records import ProcessResult
     from inspect_pipeline.store.store import Store
 
@@ -68,6 +70,9 @@ def process(
     force: Annotated[
         bool, typer.Option("--force", help="Process recordings that are in the store already.")
     ] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Print the time of each stage on stderr.")
+    ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", help="Let a result without frames replace one with frames.")
     ] = False,
@@ -78,6 +83,7 @@ def process(
     signals: SignalsOption = None,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
+    device: DeviceOption = None,
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
 ) -> None:
@@ -91,6 +97,7 @@ def process(
       lsnet-pipe process flight.mcap
       lsnet-pipe process *.mcap --store /data/inspections --json
       lsnet-pipe process flight.mcap --every 5 --topic /camera/image
+      lsnet-pipe process flight.mcap --force --profile
     """
     if start is not None and end is not None and start >= end:
         raise typer.BadParameter("--end is not after --start")
@@ -117,14 +124,16 @@ def process(
         raise typer.Exit(exit_code)
 
     from inspect_pipeline import pipeline
+    from inspect_pipeline.detection import StageTimes
     from inspect_pipeline.publishing import publish
 
-    detector = LateDetector(weights, runtime, scale, min_score)
+    detector = LateDetector(weights, runtime, scale, min_score, device)
     run = start_described_run(detector.describe(), options, "process", {})
 
     def process_one(path: Path) -> ProcessResult:
+        times = StageTimes()
         with progress_bar(path.name, None) as advance:
-            return pipeline.process(
+            result = pipeline.process(
                 path,
                 the_store,
                 detector.load,
@@ -132,7 +141,11 @@ def process(
                 run,
                 on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
                 on_wait=lambda: note(f"{path}: another process works on this flight; waiting for its end"),
+                times=times,
             )
+        if profile and result.status != "skipped":
+            _print_profile(times, result.n_frames)
+        return result
 
     results, n_failed, failure = _process_all(existing, process_one)
     exit_code, n_failed = failure or exit_code, n_failed + len(files) - len(existing)
@@ -191,6 +204,18 @@ def _process_all(
             exit_code = 1 if result.status == "failed" else exit_code
             _warn_about(result)
     return results, n_failed, exit_code
+
+
+def _print_profile(times: StageTimes, n_frames: int) -> None:
+    """Print wall and CPU time of each stage; they overlap, so their shares of the wall may exceed 100 %."""
+    wall_s, stages = times.wall_s, times.stages()
+    lines = [f"{'stage':10}{'ms a frame':>12}{'of the wall':>13}{'CPU ms a frame':>16}"]
+    for stage, (spent_s, cpu_s) in stages.items():
+        share, ms, cpu_ms = spent_s / wall_s, spent_s * 1e3 / n_frames, cpu_s * 1e3 / n_frames
+        lines.append(f"{stage:10}{ms:12.2f}{share:13.0%}{cpu_ms:16.2f}")
+    total_cpu_s = sum(cpu_s for _, cpu_s in stages.values())
+    lines.append(f"{'wall':10}{wall_s * 1e3 / n_frames:12.2f}{1:13.0%}{total_cpu_s * 1e3 / n_frames:16.2f}")
+    typer.echo("\n".join(lines), err=True)
 
 
 def _warn_about(result: ProcessResult) -> None:

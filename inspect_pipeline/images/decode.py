@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from itertools import islice
+from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -37,7 +38,7 @@ class Picture(NamedTuple):
 
 
 class ImageDecoder:
-    """Decodes the images of one camera.
+    """Decodes the images of one camera, in any threads.
 
     Args:
         first_images: returns the first images of the camera, in order. It is called once, at the first
@@ -48,17 +49,24 @@ class ImageDecoder:
     def __init__(self, first_images: Callable[[], Iterable[ImageMessage]] = tuple) -> None:
         self._first_images = first_images
         self._range: ValueRange | None = None
+        self._lock = Lock()
 
     def decode(self, message: ImageMessage) -> Picture:
         """Return the pixels as stored, EXIF orientation ignored. Raises ImageError."""
         pixels = _unpack(message)
-        if pixels.is_deep and self._range is None:
-            bright = islice(_bright_values(self._first_images()), _N_RANGE_IMAGES)
-            self._range = range_in_use(list(bright) or [pixels.values])
+        in_use = self._range_of(pixels) if pixels.is_deep else FULL_RANGE
         try:
-            return Picture(pixels.rgb(self._range or FULL_RANGE), pixels.doubt)
+            return Picture(pixels.rgb(in_use), pixels.doubt)
         except cv2.error as error:
             raise ImageError("the image cannot be decoded") from error
+
+    def _range_of(self, pixels: Pixels) -> ValueRange:
+        """Return the range of the camera; threads that decode its first images wait for the first of them."""
+        with self._lock:
+            if self._range is None:
+                bright = islice(_bright_values(self._first_images()), _N_RANGE_IMAGES)
+                self._range = range_in_use(list(bright) or [pixels.values])
+            return self._range
 
 
 def refusal(message: ImageMessage, topic: str) -> str | None:

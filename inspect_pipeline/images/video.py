@@ -37,6 +37,19 @@ def can_decode() -> bool:
     return find_spec("av") is not None
 
 
+class VideoPicture:
+    """A picture that came out of a video, or the reason why there is none; any thread may convert it."""
+
+    def __init__(self, found: av.VideoFrame | str) -> None:
+        self._found = found
+
+    def to_rgb(self) -> ImageArray:
+        """Return uint8 (height, width, 3). Raises ImageError when there is no picture."""
+        if isinstance(self._found, str):
+            raise ImageError(self._found)
+        return np.ascontiguousarray(self._found.to_ndarray(format="rgb24"), np.uint8)
+
+
 class VideoDecoder:
     """Decodes the messages of one channel, which must all be added in order, numbered from 0."""
 
@@ -81,13 +94,10 @@ class VideoDecoder:
         """Whether a wanted picture, or the reason why there is none, is known."""
         return number in self._settled
 
-    def take(self, number: int) -> ImageArray:
-        """Return a wanted picture: uint8 (height, width, 3) RGB. Raises ImageError when there is none."""
+    def take(self, number: int) -> VideoPicture:
+        """Return a wanted picture."""
         self._wanted.discard(number)
-        found = self._settled.pop(number, _NO_PICTURE)
-        if isinstance(found, str):
-            raise ImageError(found)
-        return np.ascontiguousarray(found.to_ndarray(format="rgb24"), np.uint8)
+        return VideoPicture(self._settled.pop(number, _NO_PICTURE))
 
     def finish(self) -> None:
         """Settle all wanted pictures; nothing can be added afterwards."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.images.decode import ImageDecoder
-from inspect_pipeline.images.video import VideoDecoder
+from inspect_pipeline.images.video import VideoDecoder, VideoPicture
 from inspect_pipeline.messages.image import ImageError, ImageMessage, parse
 from inspect_pipeline.recording.file import Damage
 from inspect_pipeline.recording.log_times import FrameChecks
@@ -19,12 +19,13 @@ from inspect_pipeline.recording.part import count_messages
 from inspect_pipeline.recording.types import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel
 
 _T = TypeVar("_T")
+_S = TypeVar("_S")
 _MAX_WAITING_BYTES = 64 << 20  # of messages behind a picture that does not come out of its video
 _MAX_FIRST_IMAGES = 64  # of a camera, in which the range of its values is looked for
 _NEVER_NS = 1 << 64  # after every log time
@@ -43,6 +44,10 @@ class RecordingIterator(Iterator[_T], Generic[_T]):
 
     def __next__(self) -> _T:
         return next(self._items)
+
+    def map(self, function: Callable[[_T], _S]) -> RecordingIterator[_S]:
+        """Return an iterator over what a function makes of each item."""
+        return RecordingIterator(map(function, self), self._losses, self._checks)
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -77,14 +82,29 @@ def iter_frames(
         RecordingError: at the call when there is no camera; while iterating when nothing can be read, or
             anything is lost of a `strict` recording.
     """
+    frames = iter_undecoded(recording, cameras, every=every, start_ns=start_ns, end_ns=end_ns)
+    return frames.map(UndecodedFrame.decode)
+
+
+def iter_undecoded(
+    recording: Recording,
+    cameras: Sequence[CameraChannel] | None = None,
+    *,
+    every: int = 1,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> RecordingIterator[UndecodedFrame]:
+    """Iterate over the same frames as `iter_frames`, each to be decoded in any thread."""
     if cameras is None:
         cameras = recording.select_cameras()
     losses, checks = Losses(recording), FrameChecks()
-    frames = _iter_frames(recording, cameras, losses, checks, every=every, start_ns=start_ns, end_ns=end_ns)
+    frames = _iter_undecoded(
+        recording, cameras, losses, checks, every=every, start_ns=start_ns, end_ns=end_ns
+    )
     return RecordingIterator(checks.checked(frames), losses, checks)
 
 
-def _iter_frames(
+def _iter_undecoded(
     recording: Recording,
     cameras: Sequence[CameraChannel],
     losses: Losses,
@@ -93,7 +113,7 @@ def _iter_frames(
     every: int,
     start_ns: int | None,
     end_ns: int | None,
-) -> Iterator[Frame]:
+) -> Iterator[UndecodedFrame]:
     by_id = {camera.channel_id: camera for camera in cameras}
     first_ns, last_ns = start_ns or 0, _NEVER_NS if end_ns is None else end_ns
     extents = recording.extents(by_id)
@@ -111,7 +131,7 @@ def _iter_frames(
             is_wanted = False
             checks.set_aside(by_id[message.channel_id].topic)
         if is_wanted or message.channel_id in videos:
-            frame = _Waiting(by_id[message.channel_id], frame_idx, message, stills, videos)
+            frame = UndecodedFrame(by_id[message.channel_id], frame_idx, message, stills, videos)
             waiting.add(frame, is_wanted=is_wanted)
         yield from waiting.settled()
     for video in videos.values():
@@ -175,8 +195,8 @@ def _count_before(extents: Iterable[PartExtent], start_ns: int, losses: Losses) 
     return counts
 
 
-class _Waiting:
-    """A frame whose picture is decoded when its turn comes; a video may give it later."""
+class UndecodedFrame:
+    """A frame whose picture is not decoded yet; a video may give it later."""
 
     def __init__(
         self,
@@ -191,6 +211,9 @@ class _Waiting:
         self._error: str | None = None
         self._still = stills[camera.channel_id]
         self._video: VideoDecoder | None = None
+        self._picture: VideoPicture | None = None
+        self.topic = camera.topic
+        self.log_time_ns = min(message.log_time_ns, _MAX_TIME_NS)
         try:
             self._parsed = parse(camera.schema_name, camera.message_encoding, message.data)
         except ImageError as reason:
@@ -198,6 +221,11 @@ class _Waiting:
         # A message that is a picture by its first bytes does not belong to the video of its channel.
         if self._parsed and self._parsed.is_video and self._parsed.data:
             self._video = videos.setdefault(camera.channel_id, VideoDecoder())
+
+    @property
+    def stamp_ns(self) -> int:
+        """The image's own header stamp, or the log time of a malformed message."""
+        return self._parsed.stamp_ns if self._parsed else self.log_time_ns
 
     @property
     def n_bytes(self) -> int:
@@ -213,26 +241,30 @@ class _Waiting:
         """Whether the picture, or that there is none, is known."""
         return self._video is None or self._video.is_settled(self._frame_idx)
 
-    def to_frame(self) -> Frame:
+    def settle(self) -> None:
+        """Take the picture out of its video, which the thread that reads the recording must do."""
+        if self._video:
+            self._picture = self._video.take(self._frame_idx)
+
+    def decode(self) -> Frame:
         """Return the frame, with its picture or the reason why there is none."""
-        parsed, image, error, doubt = self._parsed, None, self._error, None
-        if parsed:
+        image, error, doubt = None, self._error, None
+        if self._parsed:
             try:
-                if self._video:
-                    image = self._video.take(self._frame_idx)
+                if self._picture:
+                    image = self._picture.to_rgb()
                 else:
-                    image, doubt = self._still.decode(parsed)
+                    image, doubt = self._still.decode(self._parsed)
             except ImageError as reason:
                 error = str(reason)
-        log_time_ns = min(self._message.log_time_ns, _MAX_TIME_NS)
         return Frame(
             channel_id=self._camera.channel_id,
-            topic=self._camera.topic,
+            topic=self.topic,
             frame_idx=self._frame_idx,
-            log_time_ns=log_time_ns,
+            log_time_ns=self.log_time_ns,
             publish_time_ns=self._message.publish_time_ns,
-            stamp_ns=parsed.stamp_ns if parsed else log_time_ns,
-            frame_id=parsed.frame_id if parsed else "",
+            stamp_ns=self.stamp_ns,
+            frame_id=self._parsed.frame_id if self._parsed else "",
             image=image,
             error=error,
             doubt=doubt,
@@ -243,19 +275,20 @@ class _Queue:
     """Frames in order; those of videos wait for their pictures. Bounded in bytes."""
 
     def __init__(self) -> None:
-        self._frames: deque[_Waiting] = deque()
+        self._frames: deque[UndecodedFrame] = deque()
         self._n_bytes = 0
 
-    def add(self, frame: _Waiting, *, is_wanted: bool) -> None:
+    def add(self, frame: UndecodedFrame, *, is_wanted: bool) -> None:
         """Add a frame behind the others; one that is not wanted only goes into its video."""
         frame.add_to_video(is_wanted=is_wanted)
         if is_wanted:
             self._frames.append(frame)
             self._n_bytes += frame.n_bytes
 
-    def settled(self) -> Iterator[Frame]:
+    def settled(self) -> Iterator[UndecodedFrame]:
         """Take the frames from the front whose pictures are known, or that have waited too long."""
         while self._frames and (self._frames[0].is_settled() or self._n_bytes > _MAX_WAITING_BYTES):
             frame = self._frames.popleft()
             self._n_bytes -= frame.n_bytes
-            yield frame.to_frame()
+            frame.settle()
+            yield frame

@@ -7,7 +7,7 @@ stretch a flight to decades, so frames that have one are set aside.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,10 +20,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from inspect_pipeline.recording.merge import PartExtent
-    from inspect_pipeline.recording.types import Frame
 
 _MAX_GAP_NS = 30 * 86_400 * 10**9  # no flight pauses for longer
 _MIN_SHARE = 0.75  # of the messages; else it is not clear which times are the outliers
+
+
+class Timed(Protocol):
+    """A frame as far as its times go."""
+
+    topic: str
+    log_time_ns: int
+
+    @property
+    def stamp_ns(self) -> int: ...
+
+
+_Timed = TypeVar("_Timed", bound=Timed)
 
 
 class TimeRange(NamedTuple):
@@ -90,13 +102,13 @@ class FrameChecks:
         """Count a frame that is not yielded because its log time is an outlier."""
         self._counts[topic][self._ASIDE] += 1
 
-    def checked(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+    def checked(self, frames: Iterable[_Timed]) -> Iterator[_Timed]:
         """Iterate over the same frames, and check each."""
         for frame in frames:
             self.check(frame)
             yield frame
 
-    def check(self, frame: Frame) -> None:
+    def check(self, frame: Timed) -> None:
         """Compare the times of a frame with those of the one before."""
         topic, log_time_ns = frame.topic, frame.log_time_ns
         if log_time_ns < self._last_log_ns.get(topic, 0):

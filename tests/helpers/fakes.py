@@ -45,15 +45,24 @@ class FakeDetector:
             "min_score": 0.5 if min_score is None else min_score,
         }
         self.batch_sizes: list[int] = []
+        self.threads, self.n_calls, self.n_images = 2, 2, 4
 
     @classmethod
-    def load(cls, weights: str = "fast", *, runtime: str = "auto", **options: float | None) -> FakeDetector:
+    def load(
+        cls,
+        weights: str = "fast",
+        *,
+        runtime: str = "auto",
+        device: str | None = None,
+        threads: int | None = None,
+        **options: float | None,
+    ) -> FakeDetector:
         return cls(weights, **options)
 
     def describe(self) -> dict[str, Any]:
         return dict(self.description)
 
-    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Detections]:
+    def detect(self, images: Sequence[NDArray[np.uint8]], **_: object) -> list[Detections]:
         self.batch_sizes.append(len(images))
         return [self._detect(image) for image in images]
 

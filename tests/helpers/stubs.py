@@ -38,7 +38,7 @@ class StubDetector(FakeDetector):
         with (folder / "workers").open("a") as workers:
             workers.write(f"{os.getpid()}\n")
 
-    def detect(self, images: Sequence[Any]) -> list[Detections]:
+    def detect(self, images: Sequence[Any], **_: object) -> list[Detections]:
         with (self._folder / "seen").open("a") as seen:
             seen.write("x" * len(images))
         time.sleep(self._delay_s)

@@ -35,8 +35,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 demo: $(INSTALLED)
 	rm -rf demo
 	mkdir demo
-	$(LSNET_PIPE) simulate demo/demo.mcap
+	$(LSNET_PIPE) simulate demo/demo.mcap --seconds 30 --fps 3 --fault conductor_gap --spans demo/spans.geojson
 	$(LSNET_PIPE) process demo/demo.mcap $(DEMO_STORE)
+	$(LSNET_PIPE) spans import demo/spans.geojson $(DEMO_STORE)
 	$(LSNET_PIPE) query "SELECT n_frames, n_bad_frames, n_lines, duration_s, frame_coverage FROM flight_summary" $(DEMO_STORE)
 	$(LSNET_PIPE) query "SELECT frame_idx, n_lines, sharpness::INTEGER AS sharpness, infer_ms::INTEGER AS infer_ms FROM frames ORDER BY n_lines DESC, frame_idx LIMIT 5" $(DEMO_STORE)
 	$(LSNET_PIPE) query "SELECT floor(angle_deg / 30)::INTEGER * 30 AS angle_from_deg, count(*) AS n_lines, avg(length_px)::INTEGER AS mean_length_px FROM lines GROUP BY ALL ORDER BY ALL" $(DEMO_STORE)
@@ -46,6 +47,8 @@ demo: $(INSTALLED)
 	@echo "annotated copy $$(ls demo/store/flights/*/annotated.mcap), to be opened in Foxglove or Lichtblick"
 	@echo "index          demo/store/index.duckdb, for $(LSNET_PIPE) query \"...\" $(DEMO_STORE)"
 	@echo "picture        demo/overlay.png"
+	@echo "report         $(LSNET_PIPE) report last --open $(DEMO_STORE)"
+	@echo "               a gap was planted in a conductor; decide about it by $(LSNET_PIPE) review last --open $(DEMO_STORE)"
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -q -n auto --dist loadfile

@@ -61,7 +61,9 @@ def overlay(
 
     source = open_store(store)
     if anomaly:
-        flight_id, frames = _find_evidence(source, anomaly, has_margin=is_film)
+        flight_id, frames = _find_evidence(
+            source, anomaly, has_margin=is_film, is_single=not (is_film or is_folder)
+        )
     else:
         flight_id, frames = _find_frames(source, flight or "", frame, topic)
     if is_film or is_folder:
@@ -88,8 +90,10 @@ def _find_frames(
     return flight_id, select_frames(store, flight_id, frame, topic=topic)
 
 
-def _find_evidence(store: Store, beginning: str, *, has_margin: bool) -> tuple[str, list[dict[str, Any]]]:
-    """Return the flight of an anomaly and its evidence frames, or all frames from before to after it."""
+def _find_evidence(
+    store: Store, beginning: str, *, has_margin: bool, is_single: bool
+) -> tuple[str, list[dict[str, Any]]]:
+    """Return an anomaly's flight, and its evidence frames, the best of them, or all around them."""
     from inspect_pipeline.index.anomalies import find_anomaly
     from inspect_pipeline.overlay import select_frames
 
@@ -103,6 +107,11 @@ def _find_evidence(store: Store, beginning: str, *, has_margin: bool) -> tuple[s
         first_ns, last_ns = anomaly["start_ns"] - _MARGIN_S * 10**9, anomaly["end_ns"] + _MARGIN_S * 10**9
         return anomaly["flight_id"], [row for row in own if first_ns <= row["log_time_ns"] <= last_ns]
     wanted = anomaly["evidence_frames"] or [anomaly["first_frame_idx"]]
+    if is_single:
+        from inspect_pipeline.report.evidence import load_evidence
+
+        found = load_evidence(store, anomaly["flight_id"]).of_anomalies.get(anomaly["anomaly_id"])
+        wanted = [found.frame_idx] if found else wanted
     return anomaly["flight_id"], [row for row in own if row["frame_idx"] in wanted]
 
 

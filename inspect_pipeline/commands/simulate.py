@@ -61,6 +61,9 @@ def simulate(
         RenderKind, typer.Option(help="Draw the conductors, or render them with Mitsuba (extra synth).")
     ] = RenderKind.DRAWN,
     schema: Annotated[SchemaKind, typer.Option(help="Schemas of the messages.")] = SchemaKind.FOXGLOVE,
+    spans: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the spans here as GeoJSON, for spans import.")
+    ] = None,
 ) -> None:
     """Simulate a flight along a power line.
 
@@ -73,6 +76,8 @@ def simulate(
       lsnet-pipe simulate demo.mcap --phases 6 --position-noise 2 --drift 2 --attitude-noise 1
     """
     check_suffix(target, (".mcap",))
+    if spans:
+        check_suffix(spans, (".geojson", ".json"))
     from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
     options = SimulationOptions(
@@ -96,3 +101,8 @@ def simulate(
     truth = simulate_flight(target, options)
     print_line(str(target))
     print_line(str(truth))
+    if spans:
+        from inspect_pipeline.simulation.span_file import write_spans
+
+        write_spans(spans, truth)
+        print_line(str(spans))

@@ -26,7 +26,7 @@ _TRACK_RGB = np.array(
     np.uint8,
 )
 _NO_TRACK_RGB = np.array([235, 235, 235], np.uint8)
-_SCORE_SHARE = 0.12  # of a line, where its score stands
+_SCORE_SHARE = 0.08  # of a line, where its score stands
 _STRIP_RGB = (20, 24, 30)
 _MAP_SHARE = 0.75  # of the heat map over its picture
 
@@ -63,11 +63,12 @@ def draw_lines(image: ImageArray, lines: Sequence[Floats32], colours: ImageArray
 
 
 def draw_scores(image: ImageArray, lines: Sequence[Floats32], scores: Floats32) -> ImageArray:
-    """Return a copy of an RGB image with the score of each line beside its first point, two digits."""
+    """Return a copy of an RGB image with the score of each line near its first point, two digits."""
     picture, font = Image.fromarray(image), _font(image)
     pen = ImageDraw.Draw(picture)
-    for points, score in zip(lines, scores.tolist(), strict=True):
-        at = points[0] + _SCORE_SHARE * (points[-1] - points[0])
+    for number, (points, score) in enumerate(zip(lines, scores.tolist(), strict=True)):
+        share = _SCORE_SHARE * (1 + number % 3)  # so that those of neighbours stand apart
+        at = points[0] + share * (points[-1] - points[0])
         pen.text(tuple(at.tolist()), f"{score:.2f}", "white", font, stroke_width=2, stroke_fill="black")
     return _to_array(picture)
 

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inspect_pipeline.errors import OutputError
+from inspect_pipeline.images.decode import Picture, decode_file
 from inspect_pipeline.images.draw import draw_heat, draw_lines, draw_scores, track_colours, write_picture
+from inspect_pipeline.messages.image import ImageError
 from lsnet import LSNetError
 from lsnet.evaluation.rasterize import confidence_map
 from lsnet.images import load_rgb
@@ -24,11 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """An image file and its detections; image is uint8 (height, width, 3) RGB."""
+    """An image file and its detections; image is uint8 (height, width, 3) RGB.
+
+    doubt: what is probably wrong with the image.
+    """
 
     path: Path
     image: ImageArray
     detections: Detections
+    doubt: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of `detect --json`; coordinates are rounded to a hundredth of a pixel."""
@@ -55,15 +61,24 @@ def detect_in(
     `on_error` is called with a line about each file that cannot be read, which is skipped.
     """
     for first in range(0, len(paths), batch_size):
-        read: list[tuple[Path, ImageArray]] = []
+        read: list[tuple[Path, Picture]] = []
         for path in paths[first : first + batch_size]:
             try:
-                read.append((path, load_rgb(path)))
+                read.append((path, _read(path)))
+            except ImageError as error:
+                on_error(f"{path}: {error}; give a JPEG, PNG or similar")
+            except OSError as error:
+                on_error(f"{path}: cannot be read ({error.strerror}); check the file")
             except LSNetError as error:
                 on_error(str(error))
-        found_in = detector.detect([image for _, image in read])
-        for (path, image), found in zip(read, found_in, strict=True):
-            yield Photograph(path, image, found)
+        found_in = detector.detect([picture.image for _, picture in read])
+        for (path, picture), found in zip(read, found_in, strict=True):
+            yield Photograph(path, picture.image, found, picture.doubt)
+
+
+def _read(path: Path) -> Picture:
+    """Read an image as `process` does; radiance maps, which no recording has, by lsnet."""
+    return Picture(load_rgb(path)) if path.suffix.lower() == ".hdr" else decode_file(path)
 
 
 def check_outputs(paths: Sequence[Path], draw: Path | None, confidence: Path | None) -> None:

@@ -86,19 +86,29 @@ def test_an_unreadable_image_is_one_line_and_the_others_are_done(capfd: pytest.C
     assert [row["path"] for row in rows(result)] == ["a.png", "c.png"]
     first, second = result.stderr.splitlines()
     assert first == "error: none.jpg: there is no such file; check the name"
-    assert second.startswith("error: bad.jpg: cannot be read as an image; ")
+    assert (
+        second == "error: bad.jpg: the image is not of a format that can be read; give a JPEG, PNG or similar"
+    )
     assert capfd.readouterr().err == ""  # nothing from the libraries beneath either
 
 
 @pytest.mark.parametrize("name", ["a.png", "b.jpg"])
 def test_a_photograph_that_is_cut_off(folder: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
-    """Told as unreadable, or found in as far as it goes: never a word from the libraries beneath."""
+    """As in recordings: unreadable, without a word from the libraries beneath."""
     (folder / name).write_bytes((folder / name).read_bytes()[:1500])
     result = detect(name, "--json")
-    assert result.exit_code in {0, 1}
-    assert len(rows(result)) == 1 - result.exit_code
-    assert len(result.stderr.splitlines()) == result.exit_code
-    assert "Traceback" not in capfd.readouterr().err
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == f"error: {name}: the image is cut off; give a JPEG, PNG or similar\n"
+    assert capfd.readouterr().err == ""
+
+
+def test_a_damaged_photograph_is_a_warning(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data = (folder / "b.jpg").read_bytes()
+    (folder / "b.jpg").write_bytes(data[:-2] + b"\0\1\2\3" + data[-2:])
+    result = detect("b.jpg", "--json")
+    assert (result.exit_code, len(rows(result))) == (0, 1)
+    assert result.stderr.startswith("warning: b.jpg: the image is damaged: Corrupt JPEG data: ")
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.usefixtures("folder")

@@ -17,7 +17,7 @@ from inspect_pipeline.commands.options import (
     ScaleOption,
     WeightsOption,
 )
-from inspect_pipeline.commands.output import count_of, print_line, report_error
+from inspect_pipeline.commands.output import count_of, print_line, report_error, warn
 from inspect_pipeline.commands.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -69,6 +69,8 @@ def detect(
     with progress_bar("detect", len(paths)) as advance:
         for photograph in detect_in(paths, detector, batch_size, problems.append):
             advance()
+            if photograph.doubt:
+                warn(f"{photograph.path}: {photograph.doubt}")
             if draw:
                 write_overlay(photograph, paths, draw, segments=segments)
             if confidence:

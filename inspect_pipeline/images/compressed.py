@@ -1,7 +1,8 @@
 """Compressed images to pixels: JPEG by libjpeg-turbo, all other formats by Pillow.
 
 The first bytes decide what an image is. Its size is read, and bounded, before memory is taken for it. Both
-libraries report what is wrong as exceptions; OpenCV would leave warnings of libjpeg and libpng to stderr.
+libraries report what is wrong as exceptions; OpenCV would leave warnings of libjpeg and libpng to stderr, and
+gets only colours of 16 bits, after Pillow has found them whole.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import cv2
 import numpy as np
 import simplejpeg
 from PIL import Image, UnidentifiedImageError
+from PIL.TiffImagePlugin import TiffImageFile
 
 from inspect_pipeline.images.pixels import Pixels, conversion
 from inspect_pipeline.messages.image import ImageError
@@ -28,6 +30,8 @@ _JPEG_END = b"\xff\xd9"
 # Of the formats that Pillow knows; others may run programs or are no images of cameras.
 _FORMATS = ("PNG", "WEBP", "TIFF", "BMP", "GIF", "AVIF", "JPEG2000", "PPM", "QOI", "JPEG")
 _GREY = conversion(cv2.COLOR_GRAY2RGB)
+_TIFF_BITS = 258  # the tag of bits per sample
+_FROM_BGR = conversion(cv2.COLOR_BGR2RGB)
 
 logging.getLogger("PIL").setLevel(logging.CRITICAL + 1)
 warnings.filterwarnings("ignore", module="PIL")
@@ -93,6 +97,9 @@ def _decode_with_pillow(data: memoryview) -> Pixels:
     try:
         with Image.open(BytesIO(data), formats=_FORMATS) as image:
             _check_size(image.width * image.height, len(data))
+            if _is_deep_colour(image, data):
+                image.load()  # raises for damage, of which OpenCV would print
+                return _decode_deep_colour(data)
             return _to_pixels(image)
     except ImageError:
         raise
@@ -102,6 +109,40 @@ def _decode_with_pillow(data: memoryview) -> Pixels:
         raise ImageError("the image is not of a format that can be read") from error
     except Exception as error:  # its decoders raise whatever a damaged file causes, SyntaxError included
         raise ImageError("the image cannot be decoded") from error
+
+
+def _is_deep_colour(image: Image.Image, data: memoryview) -> bool:
+    """Whether an image has colours of 16 bits, of which Pillow keeps the upper 8."""
+    if image.format == "PNG":
+        bits, colours = data[24:26]
+        return bits == 16 and colours != 0  # 0: grey
+    return (
+        isinstance(image, TiffImageFile)
+        and image.mode.startswith("RGB")
+        and 16 in image.tag_v2.get(_TIFF_BITS, ())
+    )
+
+
+def _decode_deep_colour(data: memoryview) -> Pixels:
+    pixels = data if data[:8] != _PNG else _without_notes(data)
+    values = cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_UNCHANGED)
+    if values is None or values.dtype != np.uint16 or values.ndim != 3:
+        raise ImageError("the image cannot be decoded")
+    return Pixels(
+        np.asarray(values[..., :3], np.uint16), _FROM_BGR
+    )  # opacity is not in the range of a sensor
+
+
+def _without_notes(data: memoryview) -> bytes:
+    """Return a PNG without the chunks beside its pixels, such as a colour profile that libpng prints of."""
+    kept, at, kind = bytearray(_PNG), len(_PNG), b""
+    while kind != b"IEND":
+        end = at + 12 + int.from_bytes(data[at : at + 4])
+        kind = bytes(data[at + 4 : at + 8])
+        if kind in {b"IHDR", b"IDAT", b"IEND"}:
+            kept += data[at:end]
+        at = end
+    return bytes(kept)
 
 
 def _to_pixels(image: Image.Image) -> Pixels:

@@ -19,6 +19,7 @@ from inspect_pipeline.messages.image import ImageError, ImageMessage, is_picture
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
 
     from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.images.pixels import SensorArray
@@ -67,6 +68,11 @@ class ImageDecoder:
                 bright = islice(_bright_values(self._first_images()), _N_RANGE_IMAGES)
                 self._range = range_in_use(list(bright) or [pixels.values])
             return self._range
+
+
+def decode_file(path: Path) -> Picture:
+    """Decode an image file, 16-bit values scaled by their own range. Raises ImageError, OSError."""
+    return ImageDecoder().decode(ImageMessage(0, "", "", path.read_bytes()))
 
 
 def refusal(message: ImageMessage, topic: str) -> str | None:

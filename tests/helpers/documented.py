@@ -49,7 +49,9 @@ def answer(store: Store, sql: str) -> str:
     shown = io.StringIO()
     with duckdb.connect(store.index_path, read_only=True) as connection:
         source = f"query({query_child.quote(sql)})"
-        query_output.write_table(query_child.select_texts(connection, source), shown, max_rows=1000)
+        query_output.write_table(
+            query_child.select_texts(connection, source), shown, is_shortened=True, max_rows=1000
+        )
     return shown.getvalue()
 
 

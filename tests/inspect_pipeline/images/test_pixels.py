@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from typing import TYPE_CHECKING
 
 import cv2
@@ -39,6 +41,22 @@ def test_deep_pngs_are_scaled_alike(bits: int) -> None:
     data = cv2.imencode(".png", GREY << (bits - 8))[1].tobytes()
     image = ImageDecoder().decode(ImageMessage(0, "", "mono16; png compressed ", data)).image
     np.testing.assert_array_equal(image, np.dstack([GREY] * 3))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_deep_colours_are_scaled_alike(suffix: str, channels: int, capfd: pytest.CaptureFixture[str]) -> None:
+    """12 bits of 16, red, green and blue apart, with and without opacity."""
+    rgb = np.dstack([GREY, GREY[::-1], GREY[:, ::-1]])
+    deep = np.dstack([rgb[..., ::-1] << 4, *[np.full_like(GREY, 0xFFFF)] * (channels - 3)])
+    data = cv2.imencode(suffix, deep)[1].tobytes()
+    if suffix == ".png":  # a colour profile that libpng would print of
+        profile = b"iCCPx\0\0" + zlib.compress(bytes(200))
+        chunk = struct.pack(">I", len(profile) - 4) + profile + struct.pack(">I", zlib.crc32(profile))
+        data = data[:33] + chunk + data[33:]
+    image = ImageDecoder().decode(ImageMessage(0, "", suffix[1:], data)).image
+    np.testing.assert_array_equal(image, rgb)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_narrow_band_far_above_zero_is_spread() -> None:

@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     Row = Mapping[str, Any]
 
 _JPEG_QUALITY = 85
-_TIMELINE = "log_time"
+_TIMELINE = "time"
 _NUMBERS = ("n_lines", "sharpness", "height_m", "gsd_m")
 _LEVELS = {"open": "WARN", "confirmed": "ERROR", "dismissed": "INFO"}
+_PATH_RGB, _SPAN_RGB, _ANOMALY_RGB, _GREY_RGB = (46, 158, 79), (28, 126, 214), (240, 140, 0), (134, 142, 150)
 _GOLDEN = 0.618034  # of a turn of hue between tracks: neighbours differ most
 
 
@@ -49,6 +50,8 @@ def export_rrd(store: Store, flight_id: str, output: Path, redaction: Redaction 
     try:
         with appearing(output) as path:
             stream = rerun.RecordingStream("lsnet-pipe", recording_id=flight_id)
+            stream.set_log_time_enabled(enabled=False)
+            stream.set_log_tick_enabled(enabled=False)
             stream.save(path)
             log = _Log(rerun, stream)
             with open_index(store) as index:
@@ -88,8 +91,8 @@ class _Log:
             text = f"{row['kind']}: {row['reason']} [{row['anomaly_id']}]"
             self._log("anomalies", self._rr.TextLog(text, level=_LEVELS[row["verdict"]]))
             if row["lat_deg"] is not None:
-                self._log_place("map/anomalies", row, [240, 140, 0])
-        self._write_spans(tables["spans"])
+                self._log_place("map/anomalies", row, _ANOMALY_RGB)
+        self._write_map(tables["frames"], tables["spans"])
 
     def write_image(self, frame: Frame) -> bool:
         """Write an image as JPEG; return whether the frame has one."""
@@ -110,17 +113,28 @@ class _Log:
         shapes = self._rr.LineStrips2D(strips, colors=colours, labels=labels, show_labels=False)
         self._log(f"{camera}/lines", shapes)
         if row["lat_deg"] is not None:
-            self._log_place("map/track", row, [46, 158, 79] if row["n_lines"] else [134, 142, 150])
+            self._log_place("map/track", row, _PATH_RGB if row["n_lines"] else _GREY_RGB)
         for name in _NUMBERS:
             if row[name] is not None:
                 self._log(f"numbers/{camera}/{name}", self._rr.Scalars(row[name]))
 
-    def _write_spans(self, spans: Sequence[Row]) -> None:
-        ends = [[[row[f"{end}_lat_deg"], row[f"{end}_lon_deg"]] for end in ("from", "to")] for row in spans]
-        if ends and spans[0]["from_lat_deg"] is not None:
-            self._stream.log("map/spans", self._rr.GeoLineStrings(lat_lon=ends), static=True)
+    def _write_map(self, frames: Sequence[Row], spans: Sequence[Row]) -> None:
+        """Write what is on the map at all times: the path of each camera, and the spans."""
+        paths: dict[int, list[list[float]]] = {}
+        for row in frames:
+            if row["lat_deg"] is not None:
+                paths.setdefault(row["channel_id"], []).append([row["lat_deg"], row["lon_deg"]])
+        ends = [
+            [[row[f"{end}_lat_deg"], row[f"{end}_lon_deg"]] for end in ("from", "to")]
+            for row in spans
+            if row["from_lat_deg"] is not None
+        ]
+        for name, lines, colour in (("path", list(paths.values()), _PATH_RGB), ("spans", ends, _SPAN_RGB)):
+            if lines:
+                shape = self._rr.GeoLineStrings(lat_lon=lines, colors=colour, radii=-1.5)
+                self._stream.log(f"map/{name}", shape, static=True)
 
-    def _log_place(self, path: str, row: Row, colour: list[int]) -> None:
+    def _log_place(self, path: str, row: Row, colour: tuple[int, int, int]) -> None:
         place = [[row["lat_deg"], row["lon_deg"]]]
         self._log(path, self._rr.GeoPoints(lat_lon=place, colors=[colour], radii=[-6.0]))  # px of the screen
 
@@ -138,6 +152,6 @@ def _camera(topic: str) -> str:
 def track_colour(track_id: int | None) -> tuple[int, int, int]:
     """Return a bright RGB colour for a track, grey for lines of none."""
     if track_id is None:
-        return 134, 142, 150
+        return _GREY_RGB
     red, green, blue = colorsys.hsv_to_rgb(track_id * _GOLDEN % 1, 0.85, 1.0)
     return round(255 * red), round(255 * green), round(255 * blue)

@@ -42,16 +42,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("form", ["table", "csv", "json"])
 def test_a_reader_that_has_seen_enough_is_no_error(folder: Path, form: str) -> None:
-    done = shell(f'lsnet-pipe query "FROM range(300000)" --format {form} | head -1', folder)
+    done = shell(f'lsnet-pipe query "FROM range(60000)" --format {form} | head -1', folder)
     assert (done.returncode, done.stderr, done.stdout.count("\n")) == (0, "", 1)
 
 
-def test_sql_from_stdin_and_from_a_file(folder: Path) -> None:
+def test_sql_from_stdin(folder: Path) -> None:
     for argument in ("-", ""):
         assert shell(f"echo 'SELECT 7 AS n' | lsnet-pipe query {argument} -o n.json", folder).stderr == ""
         assert json.loads((folder / "n.json").read_text()) == [{"n": 7}]
-    (folder / "q.sql").write_text("SELECT 8 AS n;")
-    assert shell("lsnet-pipe query -f q.sql --format csv", folder).stdout == "n\n8\n"
     assert shell("lsnet-pipe query < /dev/null", folder).returncode == 2
 
 
@@ -71,10 +69,11 @@ def test_an_output_that_is_a_pipe_is_written_through(folder: Path) -> None:
     assert (folder / "copy").read_text() == "n\n5\n"
 
 
-def test_a_query_below_the_limits_of_the_shell(folder: Path) -> None:
+def test_a_query_of_a_file_below_the_limits_of_the_shell(folder: Path) -> None:
     """The program's own limits are never above those of `ulimit`, which nobody but root may raise."""
-    done = shell("ulimit -t 30; lsnet-pipe query 'SELECT 1 AS n' --format csv", folder)
-    assert (done.stdout, done.stderr) == ("n\n1\n", "")
+    (folder / "q.sql").write_text("SELECT 8 AS n;")
+    done = shell("ulimit -t 30; lsnet-pipe query -f q.sql --format csv", folder)
+    assert (done.stdout, done.stderr) == ("n\n8\n", "")
 
 
 def test_completion(folder: Path) -> None:
@@ -97,12 +96,11 @@ def test_a_stop_while_the_detector_loads(tmp_path: Path) -> None:
     program = "import cli, sys, time; sys.stderr.write('x'); sys.stderr.flush(); cli.main()"
     command = [sys.executable, "-c", program, "process", "a.mcap", "--store", "s", "--force"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
-    for delay_s in (0.4, 0.9):
-        child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
-        assert child.stderr
-        assert child.stderr.read(1) == "x"
-        time.sleep(delay_s)
-        child.send_signal(signal.SIGINT)
-        _, told = child.communicate(timeout=60)
-        assert (child.returncode, told) == (130, "stopped: interrupted\n")
+    child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
+    assert child.stderr
+    assert child.stderr.read(1) == "x"
+    time.sleep(0.7)
+    child.send_signal(signal.SIGINT)
+    _, printed = child.communicate(timeout=60)
+    assert (child.returncode, printed) == (130, "stopped: interrupted\n")
     assert not list(tmp_path.glob("s/staging/*/*"))

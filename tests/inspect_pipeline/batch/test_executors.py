@@ -20,6 +20,7 @@ import pytest
 from factories import Shot, make_recording
 from stubs import HANG, KILL, KILL_ONCE, LIGHT, RAISE, MakeStub
 
+from inspect_pipeline.batch import executor as executor_base
 from inspect_pipeline.batch import local as executor_local
 from inspect_pipeline.batch.executor import Executor, Worker
 from inspect_pipeline.batch.inbox import Candidate
@@ -235,7 +236,8 @@ def test_a_stop_drops_what_is_under_way(site: Site) -> None:
         assert (executor.describe(), list(executor.run(recordings, site.run))) == ({}, [])
 
 
-def test_what_no_worker_can_help_ends_the_run(site: Site) -> None:
+def test_what_no_worker_can_help_ends_the_run(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executor_base, "_MAX_FAILED_STARTS", 1)
     recording = site.recording("a", 1)
     with (
         site.start("none") as executor,

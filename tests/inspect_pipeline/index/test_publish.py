@@ -295,7 +295,7 @@ def test_a_copied_folder_counts_once(store: Store) -> None:
 
 def test_a_rebuild_after_idle_nights_is_not_needed(store: Store) -> None:
     """DuckDB 2 trims free blocks at the end of the file: its size says nothing about its content."""
-    for night in range(6):
+    for night in range(3):
         save_run(store, summarize_process(_run(night), [], n_found=0, n_failed=0, exit_code=0))
         assert index.publish(store).n_written == 0
         assert verify(store) == ()

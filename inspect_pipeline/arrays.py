@@ -1,14 +1,5 @@
-"""Names of the NumPy array types that annotations of this package use."""
+"""Names of the NumPy array types that annotations of this package use: those of lsnet."""
 
-from __future__ import annotations
+from lsnet.arrays import Floats, Floats32, ImageArray, Ints, Ints32, Mask, RealArray
 
-import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-RealArray = NDArray[np.floating]
-Ints = NDArray[np.int64]
-Ints32 = NDArray[np.int32]
-Mask = NDArray[np.bool_]
-ImageArray = NDArray[np.uint8]  # (height, width, 3) RGB, unless a docstring says otherwise
+__all__ = ["Floats", "Floats32", "ImageArray", "Ints", "Ints32", "Mask", "RealArray"]

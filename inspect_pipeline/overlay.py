@@ -15,7 +15,6 @@ import numpy as np
 
 from inspect_pipeline.errors import QueryError, RecordingError
 from inspect_pipeline.images.draw import add_strip, draw_lines, draw_place, draw_scores, track_colours
-from inspect_pipeline.index.flights import find_flight
 from inspect_pipeline.index.inspected import load_store_rules
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
@@ -58,34 +57,6 @@ class Overlay:
     log_time_ns: int
     n_drawn: int
     image: ImageArray
-
-
-def draw_overlay(
-    store: Store,
-    flight: str,
-    frame_idx: int | None = None,
-    *,
-    topic: str | None = None,
-    segments: bool = False,
-) -> Overlay:
-    """Draw the lines of a frame of the flight whose id begins with `flight`.
-
-    Args:
-        store: the store that has the flight.
-        flight: the first digits of a flight_id.
-        frame_idx: the frame; by default the one with the most lines.
-        topic: the camera topic; by default any.
-        segments: draw the raw segments instead of the lines.
-
-    Raises:
-        QueryError: the index has no such frame.
-        UnknownIdError, AmbiguousIdError: no or several flights begin so.
-        StoreError, RecordingError: the index, or the images of the flight, cannot be read.
-    """
-    flight_id = find_flight(store, flight)
-    frames = select_frames(store, flight_id, frame_idx, topic=topic)
-    best = max(frames, key=lambda row: (row["n_lines"], row["n_segments"], -row["frame_idx"]))
-    return next(draw_overlays(store, flight_id, [best], segments=segments))
 
 
 def select_frames(

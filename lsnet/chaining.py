@@ -4,8 +4,7 @@ Two segments are linked when they have nearly the same direction, lie on each ot
 nearly touch. Linked segments form a chain; its polyline is the score-weighted mean of the segments along it.
 The odds of a line are the odds of its segments times its length: each cell along it is further evidence.
 
-All chains of an image are processed at once: a quantity per segment, or per point of a polyline, is one
-array with the number of its chain beside it.
+All chains of an image are processed at once, in arrays with the number of the chain beside each value.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from inspect_pipeline.commands.options import BackgroundOption, JsonOption, RunO
 from inspect_pipeline.commands.progress import progress_bar
 
 
-class What(StrEnum):
+class CompareWhat(StrEnum):
     """Values of `model compare --what`."""
 
     NETWORKS = "networks"
@@ -56,8 +56,8 @@ def compare(
     folders: FoldersArgument,
     run: RunOption,
     what: Annotated[
-        What, typer.Option(help="Networks of several sizes, or LS-Net beside its rivals in the paper.")
-    ] = What.NETWORKS,
+        CompareWhat, typer.Option(help="Networks of several sizes, or LS-Net beside its rivals in the paper.")
+    ] = CompareWhat.NETWORKS,
     background: BackgroundOption = None,
     images: ImagesOption = 3700,
     steps: StepsOption = 4000,
@@ -91,7 +91,7 @@ def compare(
     from lsnet.evaluation.compare.table import method_tables, network_table, write_chart
     from lsnet.evaluation.compare.trainings import Comparison, Trainings
 
-    of_rivals = what == What.RIVALS
+    of_rivals = what == CompareWhat.RIVALS
     if of_rivals and chart:
         raise LSNetError("the chart is of the sizes of networks; leave out --chart or --what rivals")
     comparison = Comparison(

@@ -34,7 +34,7 @@ EVIDENCE_FORMATS = ("jpeg", "coco", "labelme", "esri-oriented")
 IMAGES_FILE = "images.csv"
 
 
-class Evidence(NamedTuple):
+class EvidenceExport(NamedTuple):
     """What was exported: the number of images, of those that were wanted, and a sentence for each failure."""
 
     n_images: int
@@ -50,7 +50,7 @@ def export_evidence(
     form: str,
     redaction: Redaction | None = None,
     on_progress: Callable[[int, int], object] = lambda _done, _total: None,
-) -> Evidence:
+) -> EvidenceExport:
     """Write the evidence frames of anomalies that nobody has dismissed into a folder.
 
     A flight whose images are gone or damaged is a failure; the others are written.
@@ -84,7 +84,7 @@ def export_evidence(
         _write_tables(folder, written, lines, form)
     except OSError as error:
         raise OutputError(folder, f"cannot be written ({error.strerror})", "name another folder") from error
-    return Evidence(len(written), len(rows), tuple(failures))
+    return EvidenceExport(len(written), len(rows), tuple(failures))
 
 
 def _key(row: Row) -> Key:

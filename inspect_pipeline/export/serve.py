@@ -71,7 +71,7 @@ class FileServer:
         self._files = dict(files)
         self._token = secrets.token_urlsafe(12)
         found = {f"/{self._token}/{name}": path for name, path in files.items()}
-        handler = type("FlightHandler", (_Handler,), {"files": found})
+        handler = type("FlightHandler", (_ServeHandler,), {"files": found})
         self._server = ThreadingHTTPServer((ADDRESS, port), handler)
         self._server.daemon_threads = True
 
@@ -107,7 +107,7 @@ def _start(time_ns: int | None) -> list[tuple[str, str]]:
     return [("time", f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z")]
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _ServeHandler(BaseHTTPRequestHandler):
     """Answers for the files of one server, whole or a range of bytes."""
 
     files: Mapping[str, Path] = {}

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from inspect_pipeline.geometry.attitude import Attitude, Position, from_quaternions, to_turns, wrapped_deg
-from inspect_pipeline.georeference.samples import PoseSample, PoseSamples, Rows, longest
+from inspect_pipeline.georeference.samples import PoseSample, PoseSamples, SampleRows, longest
 from inspect_pipeline.georeference.transforms import Chain, TransformTree
 from inspect_pipeline.messages.errors import MALFORMED
 from inspect_pipeline.messages.pose import Transform, parser_for
@@ -150,7 +150,7 @@ def _parsers(recording: Recording) -> dict[int, Parser]:
 
 def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict[str, list[PoseSamples]]:
     """Return the samples of each kind, one element a channel or chain of transforms."""
-    kinds: dict[str, dict[int, Rows]] = defaultdict(lambda: defaultdict(Rows))
+    kinds: dict[str, dict[int, SampleRows]] = defaultdict(lambda: defaultdict(SampleRows))
     tree = TransformTree()
     for message in messages:
         channel_id, time_ns = message.channel_id, message.log_time_ns
@@ -174,7 +174,7 @@ def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict
 
 
 def _add_attitude(
-    kinds: dict[str, dict[int, Rows]], channel_id: int, time_ns: int, attitude: Attitude
+    kinds: dict[str, dict[int, SampleRows]], channel_id: int, time_ns: int, attitude: Attitude
 ) -> None:
     kind = "camera" if attitude.is_camera else "fallback" if attitude.is_fallback else "vehicle"
     own = attitude.is_ned, attitude.is_yaw_relative

@@ -41,7 +41,7 @@ class PoseSamples:
         return PoseSample(self.values[i].tolist(), (time_ns - int(self.times_ns[i])) / 1e6)
 
 
-class Rows:
+class SampleRows:
     """Collects samples in a few bytes each."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple
 
-from inspect_pipeline.georeference.samples import PoseSamples, Rows
+from inspect_pipeline.georeference.samples import PoseSamples, SampleRows
 from inspect_pipeline.messages.errors import MALFORMED
 from inspect_pipeline.messages.fields import decoder_for, value_at
 from inspect_pipeline.recording.frames import iter_channel_messages
@@ -60,7 +60,7 @@ def read_signals(recording: Recording, paths: Mapping[str, str]) -> Signals:
         return Signals()
     topics = sorted({channel.topic for channel in recording.channels}, key=len, reverse=True)
     places = {name: _find_place(path, topics) for name, path in paths.items()}
-    rows = {name: Rows() for name in paths}
+    rows = {name: SampleRows() for name in paths}
     decoders = _decoders(recording, {place.topic for place in places.values() if place})
     messages = iter_channel_messages(recording, decoders.keys())
     for message in messages:

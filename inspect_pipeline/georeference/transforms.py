@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inspect_pipeline.georeference.samples import PoseSamples, Rows, longest
+from inspect_pipeline.georeference.samples import PoseSamples, SampleRows, longest
 from inspect_pipeline.messages.pose import FrameRole, frame_role, is_world
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ class TransformTree:
     """Collects transforms and composes those that lead to the vehicle or a camera."""
 
     def __init__(self) -> None:
-        self._rows: dict[tuple[str, str], dict[int, Rows]] = defaultdict(lambda: defaultdict(Rows))
+        self._rows: dict[tuple[str, str], dict[int, SampleRows]] = defaultdict(
+            lambda: defaultdict(SampleRows)
+        )
 
     def add(self, channel_id: int, time_ns: int, transform: Transform) -> None:
         """Add a transform; of several channels that have it, the one with most samples counts."""
@@ -45,7 +47,9 @@ class TransformTree:
 
         A camera on a gimbal comes before the gimbal.
         """
-        edges = {pair: longest(map(Rows.to_samples, rows.values())) for pair, rows in self._rows.items()}
+        edges = {
+            pair: longest(map(SampleRows.to_samples, rows.values())) for pair, rows in self._rows.items()
+        }
         # Of two parents of a frame, the one with most samples stands last and counts.
         parents = {child: parent for parent, child in sorted(edges, key=lambda pair: len(edges[pair]))}
         paths = [(role, _path(child, parents)) for child in parents if (role := frame_role(child))]

@@ -16,7 +16,7 @@ import sys
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from inspect_pipeline.index.query_output import Rows, write_json, write_table
+from inspect_pipeline.index.query_output import QueryRows, write_json, write_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -152,7 +152,7 @@ def write_arrow(connection: duckdb.DuckDBPyConnection, source: str) -> None:
             writer.write_batch(batch)
 
 
-def select_texts(connection: duckdb.DuckDBPyConnection, source: str) -> Rows:
+def select_texts(connection: duckdb.DuckDBPyConnection, source: str) -> QueryRows:
     """Return the rows of `source` with every cell cast to text by DuckDB."""
     names, types = describe(connection, source)
     columns = [f"c{number}" for number in range(len(names))]
@@ -160,7 +160,7 @@ def select_texts(connection: duckdb.DuckDBPyConnection, source: str) -> Rows:
         f"CAST({time_as_text(column, kind)} AS VARCHAR)" for column, kind in zip(columns, types, strict=True)
     )
     connection.execute(f"SELECT {cells} FROM {source} AS t({', '.join(columns)})")
-    return Rows(names, types, iter_rows(connection))
+    return QueryRows(names, types, iter_rows(connection))
 
 
 def select_objects(connection: duckdb.DuckDBPyConnection, source: str) -> Iterator[str]:
@@ -221,7 +221,7 @@ def write_plan(plans: list[tuple[str, str]], job: dict[str, Any]) -> None:
         with pa.ipc.new_stream(sys.stdout.buffer, table.schema) as writer:
             writer.write_table(table)
     else:
-        write_table(Rows(names, ["VARCHAR", "VARCHAR"], iter(plans)), sys.stdout)
+        write_table(QueryRows(names, ["VARCHAR", "VARCHAR"], iter(plans)), sys.stdout)
 
 
 def quote(text: str) -> str:

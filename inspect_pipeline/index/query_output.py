@@ -18,7 +18,7 @@ _NUMBER = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?|FLOAT|DOUBLE|DECIMAL.*
 Row = tuple[str | None, ...]
 
 
-class Rows(NamedTuple):
+class QueryRows(NamedTuple):
     """The result of a statement: column names, their SQL types, and an iterator of rows of texts."""
 
     names: list[str]
@@ -42,7 +42,7 @@ def nan_to_null(text: str) -> str:
 
 
 def write_table(
-    rows: Rows,
+    rows: QueryRows,
     out: TextIO,
     *,
     is_shortened: bool = False,

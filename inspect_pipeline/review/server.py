@@ -58,7 +58,7 @@ class ReviewServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, store: Store, flight_id: str | None, publisher: Publisher, port: int = 0) -> None:
-        super().__init__((ADDRESS, port), _Handler)
+        super().__init__((ADDRESS, port), _ReviewHandler)
         self.store, self.flight_id, self.publisher = store, flight_id, publisher
         self.token = secrets.token_urlsafe(16)
         self.hosts = {f"{name}:{self.server_address[1]}" for name in (ADDRESS, "localhost")}
@@ -77,7 +77,7 @@ class _RequestError(Exception):
         self.status, self.reason = status, reason
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _ReviewHandler(BaseHTTPRequestHandler):
     server: ReviewServer
 
     def do_GET(self) -> None:

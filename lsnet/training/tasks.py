@@ -9,9 +9,9 @@ import torch
 
 from lsnet.errors import LSNetError
 from lsnet.grid import OFF_CENTRE_PENALTY, GridCoder
-from lsnet.losses import MultiTaskLoss
 from lsnet.model import LSNet
 from lsnet.network_config import PRESETS, LSNetConfig
+from lsnet.training.losses import MultiTaskLoss
 from lsnet.training.options import with_options
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from torch import Tensor, nn
 
-    from lsnet.losses import LossSums
     from lsnet.model import RawOutput
     from lsnet.synth.dataset import Sample
+    from lsnet.training.losses import LossSums
 
 
 class Task(Protocol):

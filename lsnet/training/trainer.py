@@ -19,11 +19,11 @@ import torch
 
 from lsnet.errors import LSNetError
 from lsnet.files import make_folder
-from lsnet.losses import LossParts, LossSums
 from lsnet.network_config import PRESETS
 from lsnet.training.batches import load_batches
 from lsnet.training.checkpoints import LAST_KEYS, load_checkpoint, other_options, read_start, save_checkpoint
 from lsnet.training.devices import autocast, choose_device
+from lsnet.training.losses import LossParts, LossSums
 from lsnet.training.recipe import TrainConfig, TrainingProgress, learning_rate_at
 from lsnet.training.tasks import LSNetTask
 

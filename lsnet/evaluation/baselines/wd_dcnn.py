@@ -21,8 +21,8 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from lsnet.losses import LossSums, focal_loss
 from lsnet.model import GROUP_SIZE
+from lsnet.training.losses import LossSums, focal_loss
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

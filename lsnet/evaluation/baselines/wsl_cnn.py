@@ -27,8 +27,8 @@ from lsnet.model import ConvNormAct
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from lsnet.losses import LossSums
     from lsnet.synth.dataset import Sample
+    from lsnet.training.losses import LossSums
 
 WINDOW_PX, STEP_PX = 128, 32
 CONVOLUTIONS = (2, 2, 4, 4, 4)  # per block of VGG-19

@@ -14,8 +14,8 @@ from lsnet.errors import LSNetError
 from lsnet.evaluation.compare.compare import detector_of
 from lsnet.evaluation.compare.trainings import Trainings, Variant
 from lsnet.evaluation.paper import ABLATED, PaperProtocol, evaluate_as_paper
-from lsnet.losses import MultiTaskLoss
 from lsnet.network_config import PRESETS, LSNetConfig
+from lsnet.training.losses import MultiTaskLoss
 from lsnet.training.options import with_options
 from lsnet.training.tasks import LSNetTask
 

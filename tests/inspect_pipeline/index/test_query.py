@@ -444,7 +444,7 @@ def test_tables_fit_the_terminal(width: int) -> None:
     """In columns that are cut where that is enough, else a row as a block of lines."""
     names = [f"column_{i}" for i in range(8)]
     out = io.StringIO()
-    rows = query_output.Rows(names, ["VARCHAR"] * 8, iter([tuple("x" * 5 * i for i in range(8))] * 2))
+    rows = query_output.QueryRows(names, ["VARCHAR"] * 8, iter([tuple("x" * 5 * i for i in range(8))] * 2))
     query_output.write_table(rows, out, max_rows=10, width=width)
     text = out.getvalue()
     assert max(map(len, text.splitlines())) <= width

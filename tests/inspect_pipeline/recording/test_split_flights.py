@@ -19,7 +19,7 @@ from inspect_pipeline.batch.worker import Job
 from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.index import publish as index
-from inspect_pipeline.overlay import draw_overlay
+from inspect_pipeline.overlay import draw_overlays, select_frames
 from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
@@ -85,7 +85,7 @@ def test_only_annotations_of_a_split_recording_are_written(flight: Path, store: 
         ["annotations.mcap"] if write == "sidecar" else []
     )
     index.publish(store)
-    drawn = draw_overlay(store, result.flight_id, 5)
+    drawn = next(draw_overlays(store, result.flight_id, select_frames(store, result.flight_id, 5)))
     assert (drawn.frame_idx, drawn.image.shape[1]) == (5, 16)
 
 
@@ -176,4 +176,5 @@ def test_a_picture_of_a_recording_whose_name_is_not_utf8(tmp_path: Path, store: 
     options = ProcessOptions(write="none")
     result = process(path, store, FakeDetector(), options, start_run(FakeDetector(), options))
     index.publish(store)
-    assert draw_overlay(store, result.flight_id).frame_idx == 0
+    first, *_ = select_frames(store, result.flight_id)
+    assert next(draw_overlays(store, result.flight_id, [first])).frame_idx == 0

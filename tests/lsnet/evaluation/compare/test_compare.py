@@ -23,9 +23,9 @@ from lsnet.evaluation.compare.compare import NETWORKS, SizedVariant, compare_net
 from lsnet.evaluation.compare.data import Crops, draw_set
 from lsnet.evaluation.compare.table import network_table
 from lsnet.evaluation.compare.trainings import Comparison, Trainings, Variant, results_of
-from lsnet.losses import MultiTaskLoss
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
+from lsnet.training.losses import MultiTaskLoss
 from lsnet.training.tasks import LSNetTask
 
 if TYPE_CHECKING:

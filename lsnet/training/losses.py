@@ -38,12 +38,6 @@ def focal_loss(logits: Tensor, is_positive: Tensor, alpha: float, gamma: float) 
     return -alpha_t * (1 - log_p_t.exp()) ** gamma * log_p_t
 
 
-def endpoint_error(predicted: Tensor, target: Tensor) -> Tensor:
-    """Return d(e, t): (N,) sums of absolute differences of (N, 4) endpoints, in the better of both orders."""
-    swapped = predicted[:, SWAPPED]
-    return torch.minimum((target - predicted).abs().sum(1), (target - swapped).abs().sum(1))
-
-
 def wing_loss(error: Tensor, w: float, epsilon: float) -> Tensor:
     """Return the Wing loss, logarithmic below w, linear above, elementwise on errors d >= 0 (Feng et al.)."""
     offset = w - w * math.log(1 + w / epsilon)

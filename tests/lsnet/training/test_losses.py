@@ -7,15 +7,14 @@ import math
 import pytest
 import torch
 
-from lsnet.losses import (
+from lsnet.model import RawOutput
+from lsnet.training.losses import (
     LossSums,
     MultiTaskLoss,
-    endpoint_error,
     focal_loss,
     of_main_grid,
     wing_loss,
 )
-from lsnet.model import RawOutput
 
 E = torch.tensor([[0.1, 0.2, 0.8, 0.9]], dtype=torch.float64)
 
@@ -41,6 +40,11 @@ def test_focal_loss_is_finite_for_confident_errors() -> None:
     loss.backward()
     assert loss.item() == pytest.approx(200)
     assert torch.isfinite(logits.grad).all()
+
+
+def endpoint_error(predicted: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """d(e, t) of the paper."""
+    return MultiTaskLoss(regression="l1")._regression(predicted, target)
 
 
 def test_endpoint_error_by_hand() -> None:

@@ -149,7 +149,7 @@ def test_process_goes_on_past_a_recording_that_vanishes(
         make_recording(tmp_path / f"{name}.mcap", shots(3, f"/{name}"))
     whole = FakeDetector.detect
 
-    def detect(self: FakeDetector, images: Any) -> Any:
+    def detect(self: FakeDetector, images: Any, **_: object) -> Any:
         (tmp_path / "a.mcap").unlink(missing_ok=True)
         return whole(self, images)
 

@@ -51,6 +51,7 @@ class LoadDetector:
     scale: float | None = None
     min_score: float | None = None
     runtime: str = "auto"
+    threads: int | None = None  # of the CPU, for this worker; not part of the description
 
     def describe(self) -> dict[str, str | int | float] | None:
         """Return what the detector will say about itself, or None where only loading can tell."""
@@ -65,10 +66,19 @@ class LoadDetector:
 
         try:
             return Detector.load(
-                self.weights, runtime=self.runtime, scale=self.scale, min_score=self.min_score
+                self.weights,
+                runtime=self.runtime,
+                threads=self.threads,
+                scale=self.scale,
+                min_score=self.min_score,
             )
         except LSNetError as error:
             raise DetectorError(str(error)) from error
+
+
+def threads_of(n_workers: int) -> int:
+    """Return the share of each worker of the cores that this process may use."""
+    return max(1, len(os.sched_getaffinity(0)) // n_workers)
 
 
 @dataclass(frozen=True, slots=True)

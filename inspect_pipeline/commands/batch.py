@@ -150,7 +150,7 @@ def batch(
             pass
 
     from inspect_pipeline.batch.options import BatchOptions
-    from inspect_pipeline.batch.worker import Job, LoadDetector
+    from inspect_pipeline.batch.worker import Job, LoadDetector, threads_of
     from inspect_pipeline.config import PlacingOptions, ProcessOptions
 
     process_options = ProcessOptions(
@@ -162,7 +162,9 @@ def batch(
         placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
         signals=dict(item.split("=", 1) for item in signals or ()),
     )
-    job = Job(the_store.root, process_options, LoadDetector(weights, scale, min_score, runtime))
+    threads = threads_of(jobs) if executor == "local" else None
+    detector = LoadDetector(weights, scale, min_score, runtime, threads)
+    job = Job(the_store.root, process_options, detector)
     options = BatchOptions(
         inboxes=tuple(inbox),
         since_ns=since or 0,

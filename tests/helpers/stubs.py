@@ -77,7 +77,7 @@ class MakeStub:
         return seen.stat().st_size if seen.exists() else 0
 
 
-def make_stub_in_cwd(weights: str, scale: float | None, min_score: float | None, runtime: str) -> MakeStub:
+def make_stub_in_cwd(weights: str, *_: object, **__: object) -> MakeStub:
     """In place of LoadDetector, for tests of the command line."""
     return MakeStub(Path.cwd(), weights)
 

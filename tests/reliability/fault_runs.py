@@ -70,7 +70,7 @@ class _Worker(LocalExecutor):
 def prepare(folder: Path, command: str) -> None:
     """Put stubs in the place of detectors, and, but for `workers`, of worker processes."""
     lsnet.Detector = FakeDetector
-    worker.LoadDetector = lambda weights, scale, min_score, runtime: MakeStub(folder, weights)
+    worker.LoadDetector = lambda weights, *_, **__: MakeStub(folder, weights)
     batch.LocalExecutor = _Worker if command == "workers" else InlineExecutor
     batch._POLL_S = 0.05
 

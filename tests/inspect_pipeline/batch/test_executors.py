@@ -26,7 +26,7 @@ from inspect_pipeline.batch.executor import Executor, Worker
 from inspect_pipeline.batch.inbox import Candidate
 from inspect_pipeline.batch.local import LocalExecutor
 from inspect_pipeline.batch.ray import RayExecutor
-from inspect_pipeline.batch.worker import Job, Service, WorkerFailure
+from inspect_pipeline.batch.worker import Job, LoadDetector, Service, WorkerFailure, threads_of
 from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_described_run
 from inspect_pipeline.errors import DetectorError, StoreError, TerrainError
 from inspect_pipeline.store.records import ProcessResult
@@ -352,3 +352,12 @@ def test_a_cluster_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ),
     ):
         executor.describe()
+
+
+def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: set(range(8)))
+    assert [threads_of(n_workers) for n_workers in (1, 2, 3, 8, 20)] == [8, 4, 2, 1, 1]
+    asked = []
+    monkeypatch.setattr("lsnet.Detector.load", lambda *_, **options: asked.append(options["threads"]))
+    LoadDetector("fast", threads=4)()
+    assert asked == [4]

@@ -44,7 +44,7 @@ demo: $(INSTALLED)
 	$(LSNET_PIPE) overlay $$($(LSNET_PIPE) query --format csv "SELECT flight_id FROM flights" $(DEMO_STORE) | tail -n 1) -o demo/overlay.png $(DEMO_STORE)
 	@echo
 	@echo "recording      demo/demo.mcap, its truth demo/demo.truth.json"
-	@echo "annotated copy $$(ls demo/store/flights/*/annotated.mcap), to be opened in Foxglove or Lichtblick"
+	@echo "annotated copy $$(ls demo/store/flights/*/annotated.mcap); in Lichtblick or Foxglove: $(LSNET_PIPE) view last $(DEMO_STORE)"
 	@echo "index          demo/store/index.duckdb, for $(LSNET_PIPE) query \"...\" $(DEMO_STORE)"
 	@echo "picture        demo/overlay.png"
 	@echo "report         $(LSNET_PIPE) report last --open $(DEMO_STORE)"

@@ -43,10 +43,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.store.records import ProcessResult
     from inspect_pipeline.store.store import Store
 
-_VIEWER_NOTE = (
-    "viewers hide annotations at first; in the settings of the Image panel switch on the topics "
-    "that end in /lsnet/annotations (eye) and Sync annotations"
-)
+_VIEWER_NOTE = "lsnet-pipe view last shows it in Lichtblick or Foxglove, with the lines switched on"
 
 
 def process(

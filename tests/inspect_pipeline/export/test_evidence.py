@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from factories import START_NS, encoded_picture
+from fakes import FakeDetector
 from mcap.reader import make_reader
 from PIL import ExifTags, Image
 from pycocotools.coco import COCO
 
+from inspect_pipeline.config import ProcessOptions
 from inspect_pipeline.convert.exif import read_tags
 from inspect_pipeline.errors import MissingExtraError
 from inspect_pipeline.export.evidence import export_evidence
@@ -21,7 +24,9 @@ from inspect_pipeline.export.rerun import export_rrd
 from inspect_pipeline.export.rows import Redaction
 from inspect_pipeline.export.snippet import export_snippet
 from inspect_pipeline.index.reading import select
+from inspect_pipeline.pipeline import process
 from inspect_pipeline.publishing import publish
+from inspect_pipeline.recording.writer import new_recording
 from inspect_pipeline.store.store import Store
 from lsnet.training.labels import load_labels
 
@@ -169,6 +174,23 @@ def test_a_snippet_has_every_topic_around_the_anomaly(flown: Store, tmp_path: Pa
         "/camera/image/lsnet/annotations",
         "/drone/location",
     }
+
+
+def test_a_snippet_of_a_sidecar_has_the_recording_and_silent_channels(tmp_path: Path) -> None:
+    """The calibration came once, long before the anomaly."""
+    with new_recording(tmp_path / "a.mcap") as author:
+        lens = {"image_size": (12, 16), "focal_px": (20.0, 20.0), "centre_px": (8.0, 6.0)}
+        author.write_calibration("/lens", START_NS, "cam", **lens)
+        for second in range(30):
+            author.write_image("/camera", START_NS + second * S, "cam", encoded_picture(second), "png")
+    store = Store(tmp_path / "store")
+    result = process(tmp_path / "a.mcap", store, FakeDetector(), ProcessOptions(write="sidecar"))
+    anomaly = {"flight_id": result.flight_id, "start_ns": START_NS + 20 * S, "end_ns": START_NS + 21 * S}
+    export_snippet(store, anomaly, tmp_path / "snippet.mcap")
+    with (tmp_path / "snippet.mcap").open("rb") as file:
+        times = [(c.topic, (m.log_time - START_NS) / S) for _, c, m in make_reader(file).iter_messages()]
+    topics = ("/camera", "/camera/lsnet/annotations", "/camera/lsnet/detections")
+    assert sorted(times) == sorted([("/lens", 15.0), *((t, float(s)) for t in topics for s in range(15, 27))])
 
 
 def test_rerun_reads_what_was_exported(flown: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

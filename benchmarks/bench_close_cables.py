@@ -1,11 +1,11 @@
-"""What becomes of cables that lie close together or cross: how often both are told as lines of their own.
+"""Detection of two cables that are close together or cross: how often both are found as separate lines.
 
     python benchmarks/bench_close_cables.py [--images 40] [--weights fast]
 
 Two cables of 2 to 4 px are drawn over a plain ground, parallel at a spacing between their centrelines, or
-crossing at an angle in the middle of a 384 px image. A cable is told when one line follows at least 80 % of
-it without leaving it by more than a third of the spacing, 2 px at most, and another line tells the other.
-Cells stand 16 px apart and each says one segment. The last line is one JSON object.
+crossing at an angle in the middle of a 384 px image. A cable is found when a line of its own follows at least
+80 % of it and never leaves it by more than a third of the spacing, at most 2 px.
+Cells are 16 px apart and have one segment each. The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def main() -> None:
         print(f"{name:>10}  {'both':>6}  {'one':>6}")
         shares = {}
         for value in values:
-            told = [count_told(detector, pair, value, seed) for seed in range(arguments.images)]
-            shares[value] = {n: told.count(n) / len(told) for n in (2, 1)}
+            n_found = [count_found(detector, pair, value, seed) for seed in range(arguments.images)]
+            shares[value] = {n: n_found.count(n) / len(n_found) for n in (2, 1)}
             print(f"{value:10d}  {shares[value][2]:6.0%}  {shares[value][1]:6.0%}", flush=True)
         result[name] = {str(value): share[2] for value, share in shares.items()}
     print(json.dumps(result))
@@ -73,13 +73,13 @@ def through(point: Float, angle: float) -> Arc:
     return Arc((x1, y1), (x2, y2), 0.0)
 
 
-def count_told(
+def count_found(
     detector: Detector,
     pair: Callable[[float, np.random.Generator], tuple[Pair, float]],
     value: float,
     seed: int,
 ) -> int:
-    """How many of the two cables of a drawn image are told."""
+    """Return how many of the two cables of a drawn image are found."""
     rng = np.random.default_rng([seed, int(value)])
     arcs, tolerance_px = pair(value, rng)
     image = plain(rng, SIZE)
@@ -90,13 +90,13 @@ def count_told(
         draw_cable(image, arc, (width_px, width_px), finish)
     pixels = np.clip(np.round(image), 0, 255).astype(np.uint8)
     lines = list(detector.detect([pixels])[0].lines.points)
-    told = 0
+    n_found = 0
     for arc in arcs:
         shares = [share_followed(arc, line, tolerance_px) for line in lines]
         if shares and max(shares) >= 0.8:
-            told += 1
+            n_found += 1
             lines.pop(int(np.argmax(shares)))
-    return told
+    return n_found
 
 
 def share_followed(arc: Arc, line: Sequence[Sequence[float]], tolerance_px: float) -> float:

@@ -113,7 +113,7 @@ def real_flights() -> dict[str, dict[str, int]] | None:
 
 
 def missed_bars(result: dict[str, Any]) -> Iterator[str]:
-    """What of the result is below a bar; anomalies on drawn pictures have none."""
+    """Return the results that miss their bar; anomalies on drawn pictures have none."""
     for kind, scores in result["kinds"].items():
         for name, bar in (("recall", MIN_RECALL), ("precision", MIN_PRECISION)):
             if scores[name] is None or scores[name] < bar:

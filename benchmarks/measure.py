@@ -26,7 +26,7 @@ class Run:
 
 def measured(work: Callable[[], object]) -> Run:
     """Run `work` in this process."""
-    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+    Path("/proc/self/clear_refs").write_text("5")  # reset the peak
     before = _memory_bytes("VmRSS")
     started = time.perf_counter()
     work()

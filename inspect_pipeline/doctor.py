@@ -62,7 +62,7 @@ def _examine_store(store: Store) -> Diagnosis:
 
 
 def _examine_detector(*, load: bool) -> Diagnosis:
-    """Describe the detector that is used by default; loading it takes seconds and tells whether it works."""
+    """Describe the detector that is used by default; loading it takes seconds and shows whether it works."""
     from lsnet.description import describe_detector  # noqa: PLC0415 - imports OpenVINO
 
     description = None if load else describe_detector()

@@ -44,7 +44,7 @@ def publish(store: Store | Path | str) -> IndexChange:
 
 
 def rebuild(store: Store | Path | str) -> IndexChange:
-    """Make the index and the derived files of all flights anew; raises StoreError."""
+    """Rebuild the index and the derived files of all flights; raises StoreError."""
     store = as_store(store)
     change = index_publish.rebuild(store)
     with store_errors(store.root):

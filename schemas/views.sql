@@ -1,4 +1,4 @@
--- Views for everyday questions. Not frozen: created anew at every publish.
+-- Views for everyday questions. Not frozen: recreated at every publish.
 
 DROP VIEW IF EXISTS sensor_dropouts; -- frame_dropouts took its place
 

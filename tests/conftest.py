@@ -23,23 +23,23 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 cv2.setNumThreads(1)
-gc.disable()  # until all tests are imported, most of which stays
+gc.disable()  # until all tests are imported
 
 
 def pytest_collection_finish() -> None:
-    """What was imported is looked through no more when garbage is collected."""
+    """Keep imported objects out of garbage collections."""
     gc.freeze()
     gc.enable()
 
 
 def pytest_unconfigure() -> None:
-    """At the end all of it is taken down, of which DuckDB's bindings would complain otherwise."""
+    """Undo it at the end, or DuckDB's bindings report objects that were not freed."""
     gc.unfreeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _commands_made_once() -> Iterator[None]:
-    """Typer makes all commands of the program anew whenever one is run; most tests take less time."""
+    """Typer builds all commands of the program whenever one is run, which takes longer than most tests."""
     made_once = functools.cache(typer.main.get_command)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", made_once)
@@ -58,7 +58,7 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="module")
 def flat_ground() -> Iterator[None]:
-    """Simulated flights over bare ground, whose drawing takes no time."""
+    """Simulate flights over plain ground, which takes no time to draw."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             simulate, "draw_ground", lambda rng: np.full((*simulate_ground.TILE_TEXELS, 3), 90, np.uint8)
@@ -68,7 +68,7 @@ def flat_ground() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def small_ground() -> Iterator[None]:
-    """The drawn ground of simulated flights repeats after a quarter of its area, the road in it."""
+    """Use a quarter of the drawn ground of simulated flights, which repeats."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulate_ground, "TILE_TEXELS", (512, 2048))
         yield

@@ -54,7 +54,7 @@ class LoadDetector:
     threads: int | None = None  # of the CPU, for this worker; not part of the description
 
     def describe(self) -> dict[str, str | int | float] | None:
-        """Return what the detector will say about itself, or None where only loading can tell."""
+        """Return the description of the detector, or None if it must be loaded for that."""
         from lsnet.description import describe_detector  # noqa: PLC0415
 
         return describe_detector(

@@ -1,7 +1,7 @@
 """Read the subtitles that drones write beside a video: time, position, gimbal and height, block by block.
 
-Layouts differ by model. Each is told by marks of its own, in `_DIALECTS`; samples of most are in the projects
-DJI_SRT_Parser and dji-drone-metadata-embedder on GitHub.
+Layouts differ by model. Each is recognized by patterns of its own, in `_DIALECTS`; samples of most are in
+the projects DJI_SRT_Parser and dji-drone-metadata-embedder on GitHub.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ _LETTER = re.compile(r"\d_([A-Z])$")
 
 @dataclass(frozen=True, slots=True)
 class CameraKey:
-    """What tells the cameras of a folder apart; the size is (height, width), texts may be empty."""
+    """Properties that distinguish the cameras of a folder; size is (height, width), texts may be empty."""
 
     lens: str
     model: str

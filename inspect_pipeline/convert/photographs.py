@@ -97,7 +97,7 @@ def _usual_zone(photographs: Sequence[PhotographTags]) -> timedelta:
 
 
 def _topic_prefixes(cameras: Collection[CameraKey]) -> dict[CameraKey, str]:
-    """Name the topics of each camera: /camera for the only one, else by as few words as tell them apart."""
+    """Name the topics of each camera: /camera for the only one, else by as few words as distinguish them."""
     if len(cameras) == 1:
         return dict.fromkeys(cameras, "/camera")
     parts: list[Callable[[CameraKey], str]] = [

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 class Pose:
     """The last known position and attitude at a time; what is not known is None.
 
-    Positions are WGS 84; altitude_m counts from what the source counts from, mostly the ellipsoid (GNSS) or
-    the sea (EXIF, PX4). Yaw is clockwise from north, pitch positive upwards, so that a camera that looks
-    straight down has -90; they are those of the `attitude_of`. age_ms is that of its oldest part.
-    heading_deg is the yaw of the vehicle. height_m counts from the origin of the frame the attitude is told
-    in, by convention on the ground.
+    Positions are WGS 84. altitude_m is above the datum of the source, mostly the ellipsoid (GNSS) or the sea
+    level (EXIF, PX4). Yaw is clockwise from north and pitch positive upwards, so a camera that looks straight
+    down has -90; both are those of `attitude_of`. age_ms is the age of the oldest part. heading_deg is the
+    yaw of the vehicle. height_m is above the origin of the coordinate frame of the attitude, by convention on
+    the ground.
     """
 
     latitude_deg: float | None

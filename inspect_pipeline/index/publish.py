@@ -65,7 +65,7 @@ class IndexChange:
 def publish(store: Store | Path | str) -> IndexChange:
     """Bring the index up to date with the flights of the store; nothing is written when it already is.
 
-    A missing or corrupt index is made anew. Raises StoreError, StoreVersionError.
+    A missing or corrupt index is rebuilt. Raises StoreError, StoreVersionError.
     """
     store = as_store(store)
     with store.publish_lock():
@@ -84,7 +84,7 @@ def publish(store: Store | Path | str) -> IndexChange:
 
 
 def rebuild(store: Store | Path | str) -> IndexChange:
-    """Make the index anew from the flights of the store; raises StoreError."""
+    """Rebuild the index from the flights of the store; raises StoreError."""
     store = as_store(store)
     with store.publish_lock():
         store.remove_leftovers()
@@ -141,7 +141,7 @@ def _run_rows(store: Store, flights: list[StoredFlight]) -> list[dict[str, Any]]
 
 
 def read_published(path: Path, *, is_lock_error: bool = False) -> dict[str, str] | None:
-    """Return the sha256 of the result.json of each flight in an index; None when it must be made anew.
+    """Return the sha256 of the result.json of each flight in an index; None when it must be rebuilt.
 
     Raises StoreVersionError and, with `is_lock_error`, StoreError when another program is writing to it.
     """

@@ -56,7 +56,7 @@ class Recording:
 
     path: the file or folder. parts: its MCAP files in order.
     start_ns, end_ns: first and last log time, both 0 without messages.
-    channels: of all parts. A single part keeps its channel ids; several are numbered anew, from 1.
+    channels: of all parts. A single part keeps its channel ids; those of several are renumbered from 1.
     camera_channels: the colour cameras, each once, in the order of their topics.
     refusals: topics of images that are not cameras, and why.
     video_channel_ids: channels with images that are pieces of a video.

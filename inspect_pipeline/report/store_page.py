@@ -122,6 +122,6 @@ def write_reports(store: Store, on_page: Callable[[], None] = lambda: None) -> i
 
 
 def _is_outdated(page: Path, store: Store, flight_id: str) -> bool:
-    """Whether a page is missing, or older than the files that are made anew with whatever it shows."""
+    """Whether a page is missing, or older than the files that are rewritten with whatever it shows."""
     derived = store.flight_dir(flight_id) / "layout.json"
     return not page.exists() or not derived.exists() or page.stat().st_mtime < derived.stat().st_mtime

@@ -1,7 +1,7 @@
 """Primitives of all clutter: strokes, places, directions, noise.
 
 Images are uint8 (H, W, 3) RGB and are painted in place. Strokes are anti-aliased, which OpenCV does on
-integer images only; jagged edges would tell clutter from cables.
+integer images only; jagged edges would distinguish clutter from cables.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The store of docs/sql.md: two flights along a simulated line, and one with a picture that is broken.
 
-Run as a script, it writes the answers of the documentation's questions anew.
+Run as a script, it updates the answers in the documentation.
 """
 
 from __future__ import annotations

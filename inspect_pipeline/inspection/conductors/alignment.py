@@ -124,7 +124,7 @@ def _fit_patterns(
 
 
 def _fit_round(soft: Floats, chosen: Ints, shown: Sequence[int], steps: Ints, penalties: Floats) -> None:
-    """Choose the scale and the shift of each group anew, by those of all others."""
+    """Update the scale and the shift of each group from those of all others."""
 
     def placed(i: int) -> Floats:
         return np.roll(soft[i, chosen[i, 0]], chosen[i, 1])

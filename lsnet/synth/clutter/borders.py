@@ -133,7 +133,7 @@ def edging(image: ImageArray, rng: Rng) -> None:
     """Draw plastic edging, a silt fence, boards or an open joint: long, thin, ragged, partly hidden.
 
     The same ground lies on both sides; it may bend where it is staked. None in small pictures, in which
-    nobody can tell it from a wire.
+    it cannot be distinguished from a wire.
     """
     height, width = image.shape[:2]
     if min(height, width) < MIN_DETAILED_PX:

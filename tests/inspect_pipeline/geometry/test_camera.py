@@ -100,7 +100,7 @@ def test_a_level_vehicle_looks_straight_down_its_heading_up() -> None:
 
 
 def test_the_table_of_errors_is_what_the_functions_say() -> None:
-    """docs/inspection.md, Places: from 50 m, how far the middle of the image shifts on the ground."""
+    """The table of docs/inspection.md: shift of the ground point at the image centre from 50 m."""
     text = (Path(__file__).parents[3] / "docs" / "inspection.md").read_text(encoding="utf-8")
     _, _, *rows = re.search(r"\| pitch \|.*?\n\n", text, re.DOTALL).group().strip().splitlines()
 

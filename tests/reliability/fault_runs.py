@@ -29,8 +29,7 @@ from stubs import InlineExecutor, MakeStub
 import cli
 import lsnet
 from inspect_pipeline.batch import local as executor_local
-from inspect_pipeline.batch import run as batch
-from inspect_pipeline.batch import worker
+from inspect_pipeline.batch import options, stop_request, worker
 from inspect_pipeline.batch.local import LocalExecutor
 from inspect_pipeline.store.store import Store
 
@@ -71,17 +70,17 @@ def prepare(folder: Path, command: str) -> None:
     """Put stubs in the place of detectors, and, but for `workers`, of worker processes."""
     lsnet.Detector = FakeDetector
     worker.LoadDetector = lambda weights, *_, **__: MakeStub(folder, weights)
-    batch.LocalExecutor = _Worker if command == "workers" else InlineExecutor
-    batch._POLL_S = 0.05
+    options.LocalExecutor = _Worker if command == "workers" else InlineExecutor
+    stop_request._POLL_S = 0.05
 
 
 def set_arguments(command: str, inbox: Path, store: Store, weights: str) -> None:
     """Those of the command line."""
     recordings = sorted(inbox.iterdir()) if command == "process" else [inbox]
-    options = [] if command == "process" else ["--settle", "0", "--log-format", "json"]
+    more = [] if command == "process" else ["--settle", "0", "--log-format", "json"]
     name = "process" if command == "process" else "batch"
     sys.argv = ["lsnet-pipe", name, *map(str, recordings), "--store", str(store.root), "--weights", weights]
-    sys.argv += options
+    sys.argv += more
 
 
 def warm_up(folder: Path, command: str, inbox: Path) -> None:

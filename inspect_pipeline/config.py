@@ -31,7 +31,7 @@ class PlacingOptions:
 
     Attributes:
         ground_alt_m: altitude of the ground, in the vertical datum of the recorded positions.
-        view_deg: horizontal field of view of cameras without calibration.
+        view_deg: horizontal field of view of cameras without calibration, or with only a nominal lens.
         wire_m: diameter of the conductors, for the expected width of a wire in pixels.
         terrain: elevation model (GeoTIFF and the like); by default the ground is flat.
     """

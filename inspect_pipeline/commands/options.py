@@ -151,7 +151,7 @@ ViewOption = Annotated[
         max=179.0,
         callback=finite,
         metavar="DEGREES",
-        help="Horizontal field of view of cameras without calibration.",
+        help="Horizontal field of view of cameras without calibration, or with a nominal lens.",
     ),
 ]
 WireOption = Annotated[

@@ -26,6 +26,10 @@ _FIELD = re.compile(rf"(\w+)\s*:\s*{_NUMBER}")
 _GPS = re.compile(rf"GPS\s*\({_NUMBER},\s*{_NUMBER},\s*{_NUMBER}(\w*)\)")
 _HOME = re.compile(rf"HOME\s*\({_NUMBER},\s*{_NUMBER}")
 _LETTERED_GPS = re.compile(rf"GPS\s*\(([EW]):\s*{_NUMBER},\s*([NS]):\s*{_NUMBER}(?:,\s*{_NUMBER}m)?")
+_FOCAL = re.compile(rf"\bfocal_len\s*:\s*{_NUMBER}")
+_ZOOM = re.compile(rf"\bdzoom_ratio\s*:\s*{_NUMBER}")
+_LEAST_TENTHS = 100  # no drone has a lens below 10 mm
+_ZOOM_UNIT, _LEAST_ZOOM_UNITS = 10_000, 1000  # dzoom_ratio: 10000 is no zoom, as is 1.00
 _HEIGHT = re.compile(rf"(?:\brel_alt:\s*|\bBAROMETER\s*[:(]\s*|\bHb:\s*|\bH\s+){_NUMBER}")
 _GIMBAL = re.compile(rf"\bG\.PRY\s*\({_NUMBER}°?,\s*{_NUMBER}°?,\s*{_NUMBER}°?\)")  # pitch, roll, yaw
 
@@ -53,7 +57,7 @@ class SubtitleBlock:
     """One block.
 
     offset_ns: from the start of the video. clock: the drone's own, without a time zone. height_m: above
-    take-off.
+    take-off. focal_35mm: focal length for 35 mm film, times the digital zoom.
     """
 
     offset_ns: int
@@ -61,6 +65,7 @@ class SubtitleBlock:
     position: Position | None
     gimbal: YawPitchRoll | None
     height_m: float | None
+    focal_35mm: float | None
 
 
 class Subtitles(NamedTuple):
@@ -98,6 +103,7 @@ def _parse_block(block: str, proven: Order | None) -> SubtitleBlock:
         position=_position(body, fields, proven),
         gimbal=_gimbal(body, fields),
         height_m=float(height[1]) if height else None,
+        focal_35mm=_focal_35mm(body),
     )
 
 
@@ -158,3 +164,14 @@ def _gimbal(body: str, fields: dict[str, float]) -> YawPitchRoll | None:
         return YawPitchRoll(yaw_deg, pitch_deg, roll_deg)
     turns = [fields.get(name) for name in ("gb_yaw", "gb_pitch", "gb_roll")]
     return YawPitchRoll(*(turn for turn in turns if turn is not None)) if None not in turns else None
+
+
+def _focal_35mm(body: str) -> float | None:
+    """Return the focal length: with a fraction in mm, without in tenths of them (240 is 24 mm)."""
+    match = _FOCAL.search(body)
+    if match is None or float(match[1]) <= 0:
+        return None
+    focal_mm = float(match[1]) / (10 if "." not in match[1] and float(match[1]) >= _LEAST_TENTHS else 1)
+    zoom = _ZOOM.search(body)
+    ratio = float(zoom[1]) if zoom else 1.0
+    return focal_mm * (ratio / _ZOOM_UNIT if ratio >= _LEAST_ZOOM_UNITS else max(ratio, 1.0))

@@ -13,6 +13,7 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, fromstring
 from PIL import ExifTags, Image, UnidentifiedImageError
 
+from inspect_pipeline.convert.lenses import focal_px_of_film, focal_px_of_sensor
 from inspect_pipeline.geometry.attitude import Position, YawPitchRoll, position
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 _DJI = "{http://www.dji.com/drone-dji/1.0/}"
 _OFFSET = re.compile(r"([+-])(\d\d):(\d\d)")
-_FILM_DIAGONAL_MM = math.hypot(36, 24)
+_OFF_CENTRE = 0.1  # of the image's sides: farther off, a calibrated centre is of another image
 # By the letter that DJI puts behind a picture's number, and by the XMP field ImageSource.
 _LENS_OF_LETTER = {"W": "wide", "Z": "zoom", "T": "thermal", "V": "visible", "S": "screen"}
 _LENS_OF_SOURCE = {"WideCamera": "wide", "ZoomCamera": "zoom", "InfraredCamera": "thermal"}
@@ -43,7 +44,7 @@ class PhotographTags:
     """The tags of a photograph; None where it has none.
 
     clock: of the camera, without a time zone; zone: its offset from UTC by EXIF; gps_clock: UTC.
-    focal_px: by the focal length for 35 mm film. height_m: above take-off.
+    focal_px: as calibrated by DJI, else by the focal length. height_m: above take-off.
     has_bad_xmp: its XMP is damaged or not plain XML, and was not used.
     """
 
@@ -85,7 +86,7 @@ def read_tags(path: Path) -> PhotographTags | None:
         gps_clock=_gps_clock(gps),
         position=_position(gps) or _dji_position(fields),
         gimbal=_gimbal(fields),
-        focal_px=_focal_px(camera, math.hypot(height, width)),
+        focal_px=_focal_px(camera, fields, _text(exif.get(ExifTags.Base.Model)), (height, width)),
         height_m=_number(fields.get("RelativeAltitude")),
         has_bad_xmp=dji is None,
     )
@@ -185,8 +186,32 @@ def _number(text: str | None) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _focal_px(camera: Mapping[int, Any], diagonal_px: float) -> float | None:
-    focal_mm = camera.get(ExifTags.Base.FocalLengthIn35mmFilm)
-    if not isinstance(focal_mm, int) or focal_mm <= 0:
+def _focal_px(
+    camera: Mapping[int, Any], dji: Mapping[str, str], model: str, image_size: tuple[int, int]
+) -> float | None:
+    """Return the calibrated focal length, else that for 35 mm film, else that of a known sensor."""
+    if calibrated_px := _calibrated_px(dji, image_size):
+        return calibrated_px
+    if focal_35mm := _positive(camera.get(ExifTags.Base.FocalLengthIn35mmFilm)):
+        return focal_px_of_film(focal_35mm, image_size)
+    focal_mm = _positive(camera.get(ExifTags.Base.FocalLength))
+    return focal_px_of_sensor(focal_mm, model, image_size) if focal_mm else None
+
+
+def _calibrated_px(dji: Mapping[str, str], image_size: tuple[int, int]) -> float | None:
+    """Return DJI's own focal length in pixels, if it is of an image of this size."""
+    names = ("CalibratedFocalLength", "CalibratedOpticalCenterX", "CalibratedOpticalCenterY")
+    focal_px, x_px, y_px = (_number(dji.get(name)) for name in names)
+    if not focal_px or focal_px <= 0 or x_px is None or y_px is None:
         return None
-    return focal_mm * diagonal_px / _FILM_DIAGONAL_MM
+    height, width = image_size
+    is_central = abs(x_px / width - 0.5) < _OFF_CENTRE and abs(y_px / height - 0.5) < _OFF_CENTRE
+    return focal_px if is_central else None
+
+
+def _positive(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ArithmeticError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None

@@ -52,3 +52,19 @@ def write_pose(
         author.write_attitude(
             _ATTITUDE_TOPIC, time_ns, _WORLD_FRAME, CAMERA_FRAME, to_enu(gimbal), translation_m=place_m
         )
+
+
+def write_lens(
+    author: RecordingAuthor, topic: str, time_ns: int, image_size: tuple[int, int], focal_px: float
+) -> None:
+    """Append a nominal lens of images (height, width), with its centre in the middle."""
+    height, width = image_size
+    author.write_calibration(
+        topic,
+        time_ns,
+        CAMERA_FRAME,
+        image_size=image_size,
+        focal_px=(focal_px, focal_px),
+        centre_px=(width / 2, height / 2),
+        is_nominal=True,
+    )

@@ -8,7 +8,7 @@ from datetime import UTC, timedelta
 from typing import TYPE_CHECKING
 
 from inspect_pipeline.convert.exif import CameraKey, PhotographTags, read_tags
-from inspect_pipeline.convert.messages import CAMERA_FRAME, PackResult, write_pose
+from inspect_pipeline.convert.messages import CAMERA_FRAME, PackResult, write_lens, write_pose
 from inspect_pipeline.convert.times import to_ns
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording.writer import new_recording
@@ -128,14 +128,6 @@ def _write_photograph(
     """Write the image after its pose and lens, so that readers know them when the image comes."""
     write_pose(author, time_ns, tags.position, tags.gimbal, tags.height_m)
     if tags.focal_px:
-        height, width = tags.camera.image_size
-        author.write_calibration(
-            f"{prefix}/calibration",
-            time_ns,
-            CAMERA_FRAME,
-            image_size=tags.camera.image_size,
-            focal_px=(tags.focal_px, tags.focal_px),
-            centre_px=(width / 2, height / 2),
-        )
+        write_lens(author, f"{prefix}/calibration", time_ns, tags.camera.image_size, tags.focal_px)
     topic = f"{prefix}/image/compressed"
     author.write_image(topic, time_ns, CAMERA_FRAME, path.read_bytes(), "jpeg", is_photograph=True)

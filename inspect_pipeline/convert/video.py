@@ -9,7 +9,8 @@ from itertools import islice, pairwise
 from typing import TYPE_CHECKING, cast
 
 from inspect_pipeline.convert.dji_srt import SubtitleBlock, parse_srt
-from inspect_pipeline.convert.messages import CAMERA_FRAME, PackResult, write_pose
+from inspect_pipeline.convert.lenses import focal_px_of_video
+from inspect_pipeline.convert.messages import CAMERA_FRAME, PackResult, write_lens, write_pose
 from inspect_pipeline.convert.times import to_ns
 from inspect_pipeline.errors import RecordingError
 from inspect_pipeline.recording.writer import new_recording
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 
     import av
 
-_VIDEO_TOPIC = "/camera/video"
+    from inspect_pipeline.recording.writer import RecordingAuthor
+
+_VIDEO_TOPIC, _LENS_TOPIC = "/camera/video", "/camera/calibration"
 _ANNEX_B = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
 _ENCODER, _ENCODER_OPTIONS = "libx264", {"bf": "0", "crf": "17", "preset": "veryfast", "tune": "zerolatency"}
 _KEY_EVERY = 30  # pictures
@@ -55,9 +58,9 @@ def pack_video(
             if has_b_frames:
                 warnings.append(f"{video} has B-frames, it is encoded again without them")
             with new_recording(target) as author:
+                stream = container.streams.video[0]
                 for block in blocks:
-                    time_ns = start_ns + block.offset_ns
-                    write_pose(author, time_ns, block.position, block.gimbal, block.height_m)
+                    _write_block(author, start_ns, block, (stream.height, stream.width))
                 pictures = _encode_again(container) if has_b_frames else _copy_packets(container)
                 n_images, last_ns = 0, -1
                 for pts_ns, data, codec in pictures:
@@ -75,6 +78,16 @@ def pack_video(
         "attitudes": sum(block.gimbal is not None for block in blocks),
     }
     return PackResult(counts, tuple(warnings))
+
+
+def _write_block(
+    author: RecordingAuthor, start_ns: int, block: SubtitleBlock, image_size: tuple[int, int]
+) -> None:
+    time_ns = start_ns + block.offset_ns
+    write_pose(author, time_ns, block.position, block.gimbal, block.height_m)
+    if block.focal_35mm and min(image_size) > 0:
+        focal_px = focal_px_of_video(block.focal_35mm, image_size[1])
+        write_lens(author, _LENS_TOPIC, time_ns, image_size, focal_px)
 
 
 def _read_subtitles(video: Path) -> tuple[Sequence[SubtitleBlock], list[str]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from inspect_pipeline.messages.calibration import parser_for
 from inspect_pipeline.messages.errors import MALFORMED
 from inspect_pipeline.recording.cameras import is_image
+from inspect_pipeline.recording.types import NOMINAL, SOURCE_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
@@ -20,10 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LensTrack:
-    """The lenses of a camera in the order of time, each from its log time on; a zoom changes them."""
+    """The lenses of a camera in the order of time, each from its log time on; a zoom changes them.
+
+    is_nominal: they are as the maker states them, and were not measured.
+    """
 
     times_ns: list[int] = field(default_factory=list)
     lenses: list[Intrinsics] = field(default_factory=list)
+    is_nominal: bool = False
 
     def add(self, time_ns: int, lens: Intrinsics) -> None:
         """Append a calibration, unless it repeats the last one."""
@@ -43,7 +48,11 @@ class LensReader:
         self._recording = recording
         parsers = {c.channel_id: parser_for(c.schema_name, c.message_encoding) for c in recording.channels}
         self._parsers = {channel_id: parser for channel_id, parser in parsers.items() if parser}
-        self._tracks = {channel_id: LensTrack() for channel_id in self._parsers}
+        self._tracks = {
+            c.channel_id: LensTrack(is_nominal=c.metadata.get(SOURCE_KEY) == NOMINAL)
+            for c in recording.channels
+            if c.channel_id in self._parsers
+        }
 
     @property
     def channel_ids(self) -> AbstractSet[int]:

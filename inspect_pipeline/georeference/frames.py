@@ -93,10 +93,10 @@ class Georeferencer:
         if frame.image is None:
             return None
         height, width = frame.image.shape[:2]
-        if track := self.lenses.get(frame.channel_id):
+        track, view_deg = self.lenses.get(frame.channel_id), self.options.view_deg
+        if track and not (track.is_nominal and view_deg is not None):
             lens = track.at(frame.log_time_ns)
             return lens if lens.image_size == (height, width) else resized(lens, (height, width))
-        view_deg = self.options.view_deg
         return lens_of_view((height, width), view_deg) if view_deg is not None else None
 
     def _height_m(self, pose: Pose) -> float | None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 # In the metadata of an image channel: what `pack` made it of. Photographs are marked, because their times may
 # be whole seconds and their pauses and turns are meant.
-SOURCE_KEY, PHOTOGRAPHS = "lsnet_pipe.source", "photographs"
+SOURCE_KEY, PHOTOGRAPHS, NOMINAL = "lsnet_pipe.source", "photographs", "nominal lens"
 
 
 @dataclass(frozen=True, slots=True)

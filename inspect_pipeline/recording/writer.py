@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from inspect_pipeline.atomic import appearing
 from inspect_pipeline.messages.protobuf import file_descriptor_set
-from inspect_pipeline.recording.types import PHOTOGRAPHS, SOURCE_KEY
+from inspect_pipeline.recording.types import NOMINAL, PHOTOGRAPHS, SOURCE_KEY
 from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
@@ -141,11 +141,13 @@ class RecordingAuthor:
         focal_px: tuple[float, float],
         centre_px: tuple[float, float],
         distortion: Sequence[float] = (),
+        is_nominal: bool = False,
     ) -> None:
         """Append a pinhole camera as foxglove.CameraCalibration.
 
         image_size is (height, width); focal_px and centre_px are (x, y), the centre counted from the
         top-left corner; distortion holds the plumb_bob coefficients k1, k2, p1, p2, k3, or nothing.
+        is_nominal: the lens is as its maker states it, and was not measured.
         """
         (height, width), (fx, fy), (cx, cy) = image_size, focal_px, centre_px
         # Calibrations count from the centre of the top-left pixel.
@@ -161,7 +163,7 @@ class RecordingAuthor:
             P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
         )
         message.timestamp.FromNanoseconds(time_ns)
-        self._write(topic, time_ns, message)
+        self._write(topic, time_ns, message, {SOURCE_KEY: NOMINAL} if is_nominal else {})
 
     def write_geojson(self, topic: str, time_ns: int, text: str) -> None:
         """Append a map as foxglove.GeoJSON."""

@@ -104,3 +104,19 @@ def test_gimbals() -> None:
 )
 def test_clocks(text: str, wanted: datetime | None) -> None:
     assert parse(text).blocks[0].clock == wanted
+
+
+@pytest.mark.parametrize(
+    ("body", "focal_35mm"),
+    [
+        ("[focal_len: 24.00] [dzoom_ratio: 1.00]", 24),
+        ("[focal_len: 162.00]", 162),
+        ("[focal_len : 240] [dzoom_ratio: 10000, delta:0]", 24),
+        ("[focal_len : 280] [dzoom_ratio: 20000, delta:0]", 56),
+        ("[focal_len: 24]", 24),
+        ("[focal_len: 0]", None),
+        ("[fnum: 2.8]", None),
+    ],
+)
+def test_focal_lengths(body: str, focal_35mm: float | None) -> None:
+    assert only(f"[latitude: 48.1] [longitude: 11.5] {body}").focal_35mm == focal_35mm

@@ -54,20 +54,20 @@ def main() -> None:
 
 
 def parallel(spacing_px: float, rng: np.random.Generator) -> tuple[Pair, float]:
-    """Two cables side by side, and how far a line may be off."""
+    """Return two parallel cables, and the tolerance of lines."""
     angle, centre = rng.uniform(0, np.pi), rng.uniform(0.4, 0.6, 2) * SIZE
     across = np.array([-np.sin(angle), np.cos(angle)]) * spacing_px / 2
     return (through(centre - across, angle), through(centre + across, angle)), min(spacing_px / 3, 2.0)
 
 
 def crossing(angle_deg: float, rng: np.random.Generator) -> tuple[Pair, float]:
-    """Two cables that cross near the middle."""
+    """Return two cables that cross near the middle."""
     angle, centre = rng.uniform(0, np.pi), rng.uniform(0.4, 0.6, 2) * SIZE
     return (through(centre, angle), through(centre, angle + np.radians(angle_deg))), 2.0
 
 
 def through(point: Float, angle: float) -> Arc:
-    """A straight cable past both borders."""
+    """Return a straight cable that crosses the image."""
     reach = np.array([np.cos(angle), np.sin(angle)]) * 2 * SIZE
     (x1, y1), (x2, y2) = point - reach, point + reach
     return Arc((x1, y1), (x2, y2), 0.0)
@@ -100,7 +100,7 @@ def count_found(
 
 
 def share_followed(arc: Arc, line: Sequence[Sequence[float]], tolerance_px: float) -> float:
-    """Of the cable's points in the image, the share that lies within the tolerance of the line."""
+    """Return the share of the points of a cable in the image that are within the tolerance of a line."""
     points = arc.points(1600)
     points = points[((points >= 0) & (points < SIZE)).all(axis=1)]
     nearest = np.full(len(points), np.inf)

@@ -1,16 +1,16 @@
-"""Anomalies and coverage against simulated flights whose truth is known, and against real ones without lines.
+"""Measure anomalies and coverage on simulated flights with ground truth, and on real ones without lines.
 
     python benchmarks/bench_inspection.py [--seeds 20] [--drawn 2] [--first-seed 1000] [--jobs 2]
         [--kinds blur dark ...] [--flights 1000]
 
-Of each kind of anomaly one case a seed is planted into a flight of 40 s at 4 frames a second, and as
-many flights, four at least, have none. The true lines are disturbed: 2 px of noise on every point, one in
-ten missed, one false line a frame. They go the way of all lines, over parquet files and the index. A hit is
-an anomaly of the kind whose interval and that of the truth have an intersection of at least half their
-union. Coverage is measured on the flights without faults, by true and by disturbed lines. Of the first
---drawn seeds flights of 20 s are drawn, 640 x 360 px, and the shipped weights look at them. With
-LSNET_PIPE_DATA, two real flights without lines are processed. Last come the documented queries on an index
-of --flights, see bench_queries.py. The exit code is 1 when a bar is missed; the last line is one JSON object.
+For each seed and each kind of anomaly, one fault is planted into a flight of 40 s at 4 frames a second. As
+many flights, at least four, have no fault. The true lines are disturbed (2 px of noise on every point, one in
+ten missed, one false line a frame) and pass through parquet files and the index like all lines. A hit is an
+anomaly of the kind whose interval overlaps the true one by at least half of their union. Coverage is measured
+on the flights without faults, with true and with disturbed lines. For the first --drawn seeds, flights of
+20 s are drawn in 640 x 360 px and processed with the shipped weights. With LSNET_PIPE_DATA, two real flights
+without lines are processed. Finally the documented queries are timed on an index of --flights, see
+bench_queries.py. The exit code is 1 when a bar is missed; the last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ WAYS = ("", " disturbed", " detector")
 
 
 def cases_of(args: argparse.Namespace) -> Iterator[Case]:
-    """The flights, those that are drawn first: they take longest."""
+    """Yield the flights; drawn ones first, because they take longest."""
     kinds = [FaultKind(name) for name in args.kinds] if args.kinds else list(KINDS)
     flown = list(FlightKind)
     for is_drawn, n_seeds in ((True, args.drawn), (False, args.seeds)):
@@ -57,7 +57,7 @@ def cases_of(args: argparse.Namespace) -> Iterator[Case]:
 
 
 def run_cases(args: argparse.Namespace) -> list[Outcome]:
-    """The outcomes of all cases; what is missed or false is printed."""
+    """Return the outcomes of all cases; print missed and false findings."""
     outcomes = []
     with ProcessPoolExecutor(args.jobs) as pool:
         for one in pool.map(run_case, cases_of(args)):
@@ -70,7 +70,7 @@ def run_cases(args: argparse.Namespace) -> list[Outcome]:
 
 
 def scores_by_kind(outcomes: list[Outcome]) -> dict[str, dict[str, Any]]:
-    """Recall, precision and false alarms by kind."""
+    """Return recall, precision and false alarms by kind."""
     in_clean = sum((one.others for one in outcomes if one.case.fault is None), Counter[str]())
     kinds = {}
     for fault in dict.fromkeys(one.case.fault for one in outcomes if one.case.fault):
@@ -90,14 +90,14 @@ def scores_by_kind(outcomes: list[Outcome]) -> dict[str, dict[str, Any]]:
 
 
 def mean_errors(outcomes: list[Outcome]) -> dict[str, float]:
-    """The mean errors of coverage, in percentage points, by kind of coverage and by whose lines."""
+    """Return the mean errors of coverage in percentage points, by kind and by source of the lines."""
     names = [f"{name}{way}" for way in WAYS for name in COVERAGES]
     errors = {name: [e for one in outcomes for e in one.errors.get(name, [])] for name in names}
     return {name: round(float(np.mean(found)), 3) for name, found in errors.items() if found}
 
 
 def real_flights() -> dict[str, dict[str, int]] | None:
-    """Anomalies by kind of two real flights over ground without lines, by the shipped weights."""
+    """Return the anomalies by kind of two real flights without lines, with the shipped weights."""
     folder = os.environ.get("LSNET_PIPE_DATA")
     if folder is None:
         return None

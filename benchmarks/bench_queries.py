@@ -36,7 +36,7 @@ CLI_RUNS = 3
 
 
 def measure_queries(n_flights: int) -> dict[str, Any]:
-    """The slowest of each group in s, and what is over its bar; everything is printed."""
+    """Return the slowest of each group in s, and those that exceed their bar; print all."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "index.duckdb"
         with duckdb.connect(path) as connection:
@@ -59,7 +59,7 @@ def measure_queries(n_flights: int) -> dict[str, Any]:
 
 
 def make_index(connection: duckdb.DuckDBPyConnection, n_flights: int) -> None:
-    """Tables filled with numbers, and the views."""
+    """Create an index of generated rows, with its views."""
     create_tables(connection)
     connection.execute(SETUP.read_text(encoding="utf-8").replace("$flights", str(n_flights)))
     connection.execute(read_schema("views.sql"))
@@ -67,7 +67,7 @@ def make_index(connection: duckdb.DuckDBPyConnection, n_flights: int) -> None:
 
 
 def measure(path: Path) -> dict[str, dict[str, float]]:
-    """Seconds by group and query."""
+    """Return seconds by group and query."""
     with duckdb.connect(path, read_only=True, config={"threads": "2", "memory_limit": "512MB"}) as connection:
         row = connection.execute("SELECT flight_id FROM flights LIMIT 1 OFFSET 7").fetchone() or ("",)
         named = {
@@ -88,12 +88,12 @@ def measure(path: Path) -> dict[str, dict[str, float]]:
 
 
 def with_flight(query: NamedQuery, flight_id: str) -> str:
-    """The statement about a flight, or about all."""
+    """Return the statement for one flight, or for all."""
     return query.with_values(dict.fromkeys(query.parameters, flight_id))
 
 
 def time_query(connection: duckdb.DuckDBPyConnection, sql: str) -> float:
-    """Seconds that the second of two runs takes."""
+    """Return the seconds of the second of two runs."""
     connection.execute(sql).fetchall()
     started = time.perf_counter()
     connection.execute(sql).fetchall()
@@ -101,7 +101,7 @@ def time_query(connection: duckdb.DuckDBPyConnection, sql: str) -> float:
 
 
 def time_command(index_path: Path, query: NamedQuery, flight_id: str) -> float:
-    """Seconds that the command takes, the quickest of a few runs."""
+    """Return the seconds of the command, the least of a few runs."""
     values = [f"--param={name}={flight_id}" for name in query.parameters]
     command = [str(COMMAND), "query", "--named", query.name, *values, "--store", str(index_path.parent)]
     taken = []

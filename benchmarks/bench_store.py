@@ -1,4 +1,4 @@
-"""How large a store gets, and how long it takes to keep: flights of 500 frames, each of 12 segments, 4 lines.
+"""Size of a store and time to maintain it: flights of 500 frames, each with 12 segments and 4 lines.
 
 Coordinates and scores are random, which no compression makes small. The annotated copies are left out: each
 is as large as its recording and what bench_append appends.
@@ -37,7 +37,7 @@ BARS = {"index_bytes_per_frame": (0.0, 2000.0), "parquet_bytes_per_frame": (0.0,
 
 
 def detections(dice: np.random.Generator) -> Detections:
-    """Random segments and lines of three points."""
+    """Return random segments, and lines of three points."""
     height, width = size = IMAGE.shape[:2]
     scale = np.array([width, height], np.float32)
     endpoints = (dice.random((N_SEGMENTS, 2, 2), np.float32) * scale).reshape(-1, 4)

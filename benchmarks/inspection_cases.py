@@ -1,4 +1,4 @@
-"""Simulated flights put into a store: as lines that are the truth, disturbed or not, or as drawn pictures."""
+"""Put simulated flights into a store: as true lines, disturbed or not, or as drawn images."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _TRUE_SIZE, _DRAWN_SIZE = (720, 1280), (360, 640)  # height, width
 
 @dataclass(frozen=True)
 class Case:
-    """A flight to simulate: the fault in it, or none and how it is flown; drawn for the detector, or not."""
+    """A flight to simulate: its fault, or none, and kind of flight; drawn for the detector, or not."""
 
     seed: int
     fault: FaultKind | None
@@ -60,7 +60,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was found: hits of the planted kind, other findings by kind, errors of coverage in points."""
+    """Results: hits of the planted kind, other findings by kind, errors of coverage in points."""
 
     case: Case
     n_planted: int
@@ -70,7 +70,7 @@ class Outcome:
 
 
 def run_case(case: Case) -> Outcome:
-    """Simulate a flight, put it into a store, and compare what the index says with the truth."""
+    """Simulate a flight, put it into a store, and compare the index with the ground truth."""
     cv2.setNumThreads(1)  # cases run beside each other
     plan = plan_flight(case.options)
     truth = truth_of(plan)
@@ -104,7 +104,7 @@ def _put_pictures(store: Store, options: SimulationOptions) -> None:
 
 
 def put_recording(recording: Path, store: Store) -> None:
-    """Process a recording by the shipped weights."""
+    """Process a recording with the shipped weights."""
     detector, options = _detector(), ProcessOptions(write="none")
     process(recording, store, detector, options, start_run(detector, options))
 
@@ -115,7 +115,7 @@ def _detector() -> Detector:
 
 
 def _inspect(store: Store, truth: FlightTruth) -> dict[str, Any]:
-    """The rows of anomalies and coverage that the index has of a flight, its spans known."""
+    """Return the rows of anomalies and coverage of a flight, after importing its spans."""
     import_spans(store, inspected.spans_of(truth))
     index.publish(store)
     anomalies = select(store, "SELECT kind, start_ns, end_ns FROM anomalies ORDER BY ALL")

@@ -1,4 +1,4 @@
-"""What the index says of a simulated flight against its truth: hits of planted faults, errors of coverage."""
+"""Compare the index of a simulated flight with its ground truth: hits and errors of coverage."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PATH_STEP_M = 0.05
 
 
 def match(truth: FlightTruth, anomalies: list[dict[str, Any]]) -> tuple[int, Counter[str]]:
-    """How many planted faults were found, and what else was, by kind."""
+    """Return how many planted faults were found, and the other findings by kind."""
     hits, others = 0, list(anomalies)
     for fault in truth.faults:
         same = [one for one in others if one["kind"] == KINDS[fault.kind]]
@@ -47,14 +47,14 @@ def match(truth: FlightTruth, anomalies: list[dict[str, Any]]) -> tuple[int, Cou
 
 
 def _overlap(found: dict[str, Any], start_ns: int, end_ns: int) -> float:
-    """Intersection over union of two intervals."""
+    """Return the intersection over union of two intervals."""
     common = min(found["end_ns"], end_ns) - max(found["start_ns"], start_ns)
     whole = max(found["end_ns"], end_ns) - min(found["start_ns"], start_ns)
     return max(0, common) / whole if whole else 1.0
 
 
 def true_coverage(plan: FlightPlan, truth: FlightTruth) -> dict[tuple[str, str | None], float]:
-    """What the four kinds of coverage are by the truth, in shares."""
+    """Return the four kinds of coverage by the ground truth, as shares."""
     recorded = [frame for frame in truth.frames if not frame.dropped]
     good = [frame for frame in recorded if frame.quality == "ok"]
     seen = [frame for frame in good if any(line.span_id for line in frame.lines)]
@@ -67,7 +67,7 @@ def true_coverage(plan: FlightPlan, truth: FlightTruth) -> dict[tuple[str, str |
 
 
 def _true_corridor(plan: FlightPlan, truth: FlightTruth) -> float:
-    """The share of the ground below the path that good frames with lines show, every few centimetres."""
+    """Return the share of the ground below the path that good frames with lines show."""
     shots = [shot for shot in plan.shots() if not shot.is_dropped]
     good = [frame.quality == "ok" and bool(frame.lines) for frame in truth.frames if not frame.dropped]
     path = np.array([plan.pose(shot.time_ns).position[:2] for shot in shots])
@@ -88,7 +88,7 @@ def _true_corridor(plan: FlightPlan, truth: FlightTruth) -> float:
 def coverage_errors(
     rows: list[dict[str, Any]], wanted: dict[tuple[str, str | None], float]
 ) -> dict[str, list[float]]:
-    """By kind, how far shares are from the truth, in percentage points; spans that are not near have 0."""
+    """Return errors of shares in percentage points by kind; spans that are not near have 0."""
     found = {
         (row["kind"], row["span_id"]): row["share"]
         for row in rows

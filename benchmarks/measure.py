@@ -25,7 +25,7 @@ class Run:
 
 
 def measured(work: Callable[[], object]) -> Run:
-    """Run `work` in this process."""
+    """Run `work` in this process, and return the run."""
     Path("/proc/self/clear_refs").write_text("5")  # reset the peak
     before = _memory_bytes("VmRSS")
     started = time.perf_counter()
@@ -42,7 +42,7 @@ def print_run(run: Run) -> None:
 def alternate(
     script: str, methods: Iterable[str], n_rounds: int, *, prepare: Callable[[], object] = lambda: None
 ) -> dict[str, list[Run]]:
-    """Runs of `script METHOD` by method, after `prepare` each. A first round warms up and does not count."""
+    """Return the runs of `script METHOD` by method, each after `prepare`; a first round is not counted."""
     runs: dict[str, list[Run]] = {method: [] for method in methods}
     for i in range(n_rounds + 1):
         for method, done in runs.items():
@@ -55,13 +55,13 @@ def alternate(
 
 
 def median_ratio(runs: Mapping[str, Sequence[Run]], rival: str, method: str) -> float:
-    """How many times faster `method` is than `rival`."""
+    """Return how many times faster `method` is than `rival`."""
     pairs = zip(runs[rival], runs[method], strict=True)
     return statistics.median(slow.seconds / fast.seconds for slow, fast in pairs)
 
 
 def print_table(runs: Mapping[str, Sequence[Run]]) -> None:
-    """A line per method: seconds as median and range, and its highest peak of memory."""
+    """Print a line per method: seconds as median and range, and the highest peak of memory."""
     print(f"{'method':24}  {'median':>10}  {'from':>10}  {'to':>10}  {'memory':>9}")
     for method, done in runs.items():
         seconds = sorted(run.seconds for run in done)

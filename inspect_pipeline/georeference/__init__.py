@@ -1,1 +1,1 @@
-"""Where each frame was taken and where the camera looked."""
+"""Position, attitude and ground resolution of frames."""

@@ -37,7 +37,7 @@ class LensTrack:
             self.lenses.append(lens)
 
     def at(self, time_ns: int) -> Intrinsics:
-        """Return the lens in force at a time; before the first calibration, the first."""
+        """Return the lens that is valid at a time; before the first calibration, the first."""
         return self.lenses[max(0, bisect_right(self.times_ns, time_ns) - 1)]
 
 
@@ -56,7 +56,7 @@ class LensReader:
 
     @property
     def channel_ids(self) -> AbstractSet[int]:
-        """The channels that hold calibrations."""
+        """The ids of the channels with calibrations."""
         return self._parsers.keys()
 
     def add(self, message: Message) -> None:
@@ -92,6 +92,6 @@ class LensReader:
 
 
 def _beginnings(topic: str) -> list[tuple[str, ...]]:
-    """Return the beginnings of a topic by parts between slashes, the longest first and the empty one last."""
+    """Return the prefixes of a topic that end at a slash, the longest first and the empty one last."""
     parts = tuple(topic.strip("/").split("/"))
     return [parts[:n] for n in range(len(parts), -1, -1)]

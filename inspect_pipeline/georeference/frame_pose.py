@@ -1,4 +1,4 @@
-"""What is known of where a frame was taken; apart from `frames`, as SciPy takes long to import."""
+"""The pose of a frame; a module of its own, because `frames` imports SciPy, which takes long."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Georeference frames: where each was taken, where it looks, and its ground sampling distance.
+"""Georeference frames: compute position, direction and ground sample distance.
 
 placer = Georeferencer.of(recording, options)
 place = placer.place(frame)     # the columns of a row of `frames`
@@ -89,7 +89,7 @@ class Georeferencer:
         )
 
     def _lens(self, frame: Frame) -> Intrinsics | None:
-        """The lens in pixels of the frame, which may be smaller than what was calibrated."""
+        """Return the lens in pixels of the frame, which may be smaller than the calibrated image."""
         if frame.image is None:
             return None
         height, width = frame.image.shape[:2]
@@ -100,7 +100,7 @@ class Georeferencer:
         return lens_of_view((height, width), view_deg) if view_deg is not None else None
 
     def _height_m(self, pose: Pose) -> float | None:
-        """Above the ground: by its altitude where that was given, else as the recording says."""
+        """Return the height above ground: from the given altitude of the ground, else from the recording."""
         height_m = pose.height_m
         if self.options.ground_alt_m is not None and pose.altitude_m is not None:
             height_m = pose.altitude_m - self.options.ground_alt_m
@@ -113,7 +113,7 @@ class Georeferencer:
         return height_m - float(rise_m[0]) if np.isfinite(rise_m[0]) else None
 
     def _meet_ground(self, here: tuple[float, float], height_m: float, ray: Floats) -> Floats:
-        """(3,) metres east, north and up from the camera to where a ray (3,) meets the ground; else NaN."""
+        """Return (3,) metres east, north and up from the camera to the ground along a ray (3,), or NaN."""
         terrain = self.terrain
         if terrain is None:
             met: Floats = meet_ground(ray[np.newaxis], height_m)[0]
@@ -132,7 +132,7 @@ class Georeferencer:
         """Intersect the optical axis with the ground; None where that is unknown, above or out of sight."""
         if pose.latitude_deg is None or pose.longitude_deg is None or height_m is None or height_m <= 0:
             return None
-        lens = lens or lens_of_view((2, 2), 90.0)  # any: the middle of the image is the optical axis
+        lens = lens or lens_of_view((2, 2), 90.0)  # any lens: the image centre is on the optical axis
         height, width = lens.image_size
         here = pose.latitude_deg, pose.longitude_deg
         met = self._meet_ground(here, height_m, pixel_rays(lens, turns, (width / 2, height / 2))[0])
@@ -143,14 +143,14 @@ class Georeferencer:
 
 
 def _rise_m(terrain: Elevation, begin: tuple[float, float], lat_deg: ArrayLike, lon_deg: ArrayLike) -> Floats:
-    """(N,) m that the ground at (N,) places lies above that at the first one."""
+    """Return (N,) heights in m of the ground at (N,) positions above that at the first one."""
     below_m = terrain.at(*(np.array([degrees]) for degrees in begin))
     rise_m: Floats = terrain.at(np.asarray(lat_deg), np.asarray(lon_deg)) - below_m
     return rise_m
 
 
 def _camera_turns(pose: Pose) -> tuple[YawPitchRoll, str]:
-    """Return the camera's turns and the source of them."""
+    """Return the attitude of the camera and its source."""
     if pose.yaw_deg is None or pose.pitch_deg is None or pose.roll_deg is None:
         return YawPitchRoll(0.0, _STRAIGHT_DOWN_DEG, 0.0), "nadir"
     turns = YawPitchRoll(pose.yaw_deg, pose.pitch_deg, pose.roll_deg)
@@ -159,7 +159,7 @@ def _camera_turns(pose: Pose) -> tuple[YawPitchRoll, str]:
 
 @dataclass(frozen=True, slots=True)
 class _Sight:
-    """Where the middle of the image meets the ground, and how far away."""
+    """The ground point at the image centre, and its distance."""
 
     lat_deg: float
     lon_deg: float

@@ -55,7 +55,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class PoseTrack:
-    """What is known of a flight's poses, each from the one channel that has most of it.
+    """The poses of a flight; each quantity is read from the channel with the most samples.
 
     losses: what could not be read of the recording.
     positions: latitude_deg, longitude_deg, altitude_m (NaN where unknown). vehicle: yaw_deg, pitch_deg,
@@ -125,7 +125,7 @@ def read_poses(recording: Recording, lenses: LensReader | None = None) -> PoseTr
 
 
 def _pass_on(messages: Iterable[Message], lenses: LensReader) -> Iterator[Message]:
-    """Yield messages but the calibrations, which `lenses` gets."""
+    """Yield all messages except calibrations, which are added to `lenses`."""
     for message in messages:
         if message.channel_id in lenses.channel_ids:
             lenses.add(message)
@@ -149,7 +149,7 @@ def _parsers(recording: Recording) -> dict[int, Parser]:
 
 
 def _read_kinds(messages: Iterable[Message], parsers: dict[int, Parser]) -> dict[str, list[PoseSamples]]:
-    """Return the samples of each kind, one element a channel or chain of transforms."""
+    """Return the samples of each kind, one element per channel or chain of transforms."""
     kinds: dict[str, dict[int, SampleRows]] = defaultdict(lambda: defaultdict(SampleRows))
     tree = TransformTree()
     for message in messages:

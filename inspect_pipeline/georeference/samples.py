@@ -1,4 +1,4 @@
-"""Values over time, as many as a few thousand a second."""
+"""Values over time, up to a few thousand a second."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class PoseSample(NamedTuple):
-    """The values of a moment, and how old they are."""
+    """Values at a time, and their age."""
 
     values: list[float]
     age_ms: float
@@ -42,7 +42,7 @@ class PoseSamples:
 
 
 class SampleRows:
-    """Collects samples in a few bytes each."""
+    """Collects samples in compact arrays."""
 
     def __init__(self) -> None:
         self._times_ns, self._values = array("Q"), array("d")
@@ -53,7 +53,7 @@ class SampleRows:
         self._values.extend(values)
 
     def to_samples(self) -> PoseSamples:
-        """Return the samples in the order in which they came."""
+        """Return the samples in the order in which they were added."""
         if not self._times_ns:
             return PoseSamples()
         times_ns = np.frombuffer(self._times_ns, np.uint64)
@@ -61,5 +61,5 @@ class SampleRows:
 
 
 def longest(candidates: Iterable[PoseSamples]) -> PoseSamples:
-    """Return the one with most samples: two receivers in turn would jump to and fro."""
+    """Return the one with the most samples: mixing two receivers would make positions jump."""
     return max(candidates, key=len, default=PoseSamples())

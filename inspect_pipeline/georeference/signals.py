@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.messages.fields import Decoder
     from inspect_pipeline.recording.reader import Recording
 
-_MAX_AGE_MS = 10_000.0  # of a value; what is older says nothing about a frame
+_MAX_AGE_MS = 10_000.0  # of a value; older ones are not used for a frame
 _STEPS = re.compile(r"(\.[^.\[\]]+|\[\d+\])+")
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 

@@ -1,4 +1,4 @@
-"""Poses out of a tree of transforms: chains from a world frame to the vehicle's or a camera's."""
+"""Poses from a tree of transforms: chains from a world frame to the vehicle or a camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from inspect_pipeline.messages.pose import FrameRole, frame_role, is_world
 if TYPE_CHECKING:
     from inspect_pipeline.messages.pose import Transform
 
-# From forward, left, up to the axes of optics: right, down, ahead.
+# From forward, left, up to optical axes: right, down, ahead.
 _OPTICAL_FLU = Rotation.from_matrix([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
@@ -61,7 +61,7 @@ class TransformTree:
 
 
 def _path(child: str, parents: dict[str, str]) -> list[tuple[str, str]]:
-    """The pairs from the topmost world frame to a frame; none without such a frame, and in a loop."""
+    """Return the pairs from the topmost world frame to a frame; none without such a frame or in a loop."""
     path: list[tuple[str, str]] = []
     while child in parents and len(path) <= len(parents):
         path.insert(0, (parents[child], child))
@@ -72,7 +72,7 @@ def _path(child: str, parents: dict[str, str]) -> list[tuple[str, str]]:
 
 
 def _compose(role: FrameRole, edges: list[PoseSamples]) -> Chain:
-    """Multiply the last known transforms at each time at which one changes; single ones always hold."""
+    """Multiply the last known transforms at each time of a change; one of a single sample is constant."""
     moving = [edge for edge in edges if len(edge) > 1]
     if moving:
         times_ns = np.unique(np.concatenate([edge.times_ns for edge in moving]))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import ChannelSummary
 
-_N_MESSAGES = 200  # of a topic are looked at
+_N_MESSAGES = 200  # number of messages examined per topic
 _ALIKE = re.compile(
     r"navsat|locationfix|pose|odom|tfmessage|transform|imu$|attitude|position|gps", re.IGNORECASE
 )
@@ -46,7 +46,7 @@ def explain_unread_poses(recording: Recording) -> Mapping[str, str]:
 
 
 def _explain_unknown(channel: ChannelSummary) -> str | None:
-    """Say why there is no parser for a channel; None when it does not seem to have poses."""
+    """Return why there is no parser for a channel; None when it does not seem to have poses."""
     name = re.split(r"[/.:]", channel.schema_name)[-1]
     if not _ALIKE.search(name) or _OTHERS.search(name):
         return None
@@ -56,7 +56,7 @@ def _explain_unknown(channel: ChannelSummary) -> str | None:
 
 
 def _explain_unused(channel: ChannelSummary, counts: _Counts) -> str:
-    """Say why no pose came out of the messages of a channel."""
+    """Return why the messages of a channel give no pose."""
     if counts.n_malformed == counts.n_messages:
         return f"its messages are not {channel.schema_name}"
     if _FIX.search(channel.schema_name):

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from inspect_pipeline.simulation.power_line import PowerLine
 
 
-_MIDDLE_SHARE = (0.3, 0.7)  # of a span: where stretches begin or lie
+_MIDDLE_SHARE = (0.3, 0.7)  # of a span: range of positions of faults
 _GAP_M = (3.0, 5.0)
 _EXTRA_SAG_M = (1.4, 2.4)
-_CLOSE_SHARE = 0.85  # of the distance between two conductors is lost
+_CLOSE_SHARE = 0.85  # by which the distance of two conductors is reduced
 _MAX_NEIGHBOUR_M = 4.0
 _CROSSING_RAD = np.deg2rad((40, 90))
-_STRUCK_S = (2.0, 4.0)  # how long frames are struck
+_STRUCK_S = (2.0, 4.0)  # duration of faults of frames
 _AMOUNTS = {FaultKind.CLOCK_STEP: (0.7, 5.0), FaultKind.ORIENTATION_JUMP: (0.4, 0.6)}  # s, rad
 _QUIET_SHARE = 0.12  # of the flight, at its start and end, has no fault
 
@@ -53,7 +53,7 @@ class TimedFault(NamedTuple):
 def plant_faults(
     line: PowerLine, kinds: Sequence[FaultKind], seen_shares: Floats, rng: np.random.Generator
 ) -> tuple[PowerLine, list[PlantedFault]]:
-    """Plant the line faults among `kinds` into the spans that are seen best.
+    """Plant the line faults among `kinds` into the spans that are best visible.
 
     seen_shares (n_spans,): how much of each span the flight shows.
     """

@@ -1,4 +1,4 @@
-"""The pose of the simulated drone and its camera at any time, by the kind of flight."""
+"""Compute the pose of the simulated drone and its camera at any time, by the kind of flight."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Path:
     phases: Floats
 
     def at(self, t: float) -> DronePose:
-        """The pose at a time in s since the start."""
+        """Return the pose at a time in s since the start."""
         if self.kind == FlightKind.ORBIT:
             return self._orbit(t)
         x = _HOVER_X_M if self.kind == FlightKind.HOVER else SPEED_M_S * t
@@ -57,7 +57,7 @@ class Path:
         return pose
 
     def _beside(self, t: float, x: float) -> DronePose:
-        """Beside and above the line, swaying a little."""
+        """Return a pose beside and above the line, with some sway."""
         a, b, c, d = self.phases
         return DronePose(
             position=(
@@ -71,7 +71,7 @@ class Path:
         )
 
     def _orbit(self, t: float) -> DronePose:
-        """Round a structure, which stays in the middle."""
+        """Return a pose on a circle around a structure, which stays in the centre of the image."""
         around = _ORBIT_RAD_S * t + self.phases[0]
         radius_m = _ORBIT_RADIUS_M + self.raised_m
         away = radius_m * np.array([np.cos(around), np.sin(around)])

@@ -30,7 +30,7 @@ _FOCAL_SHARE = 0.95  # of the image's width
 _FIRST_STRUCTURE = -1
 _BEYOND_M = 90.0  # length of the line beyond the last position
 _AXIS_STEP_M = 0.1
-_RAISED_SHARE = 1.3  # of what a line is wider than the usual one
+_RAISED_SHARE = 1.3  # of the width by which a line exceeds the usual one
 _USUAL_HALF_M = 1.6
 
 
@@ -59,7 +59,7 @@ class FlightPlan:
     timed: tuple[TimedFault, ...]
 
     def shots(self) -> Iterator[Shot]:
-        """All moments in order."""
+        """Yield all shots in order."""
         for i in range(max(1, round(self.options.seconds * self.options.fps))):
             time_ns = round(i / self.options.fps * 1e9)
             yield Shot(i, time_ns, self.struck_by(FaultKind.DROPOUT, time_ns) is not None)
@@ -102,23 +102,23 @@ class FlightPlan:
         return [time_ns for time_ns in times_ns if not self.struck_by(FaultKind.GPS_GAP, time_ns)]
 
     def axis_seen(self, camera: SimulatedCamera) -> Ints:
-        """The numbers of the axis's points that a camera sees."""
+        """Return the indices of the points of the axis that a camera sees."""
         window = near(camera, self.axis)
         seen: Ints = np.flatnonzero(camera.sees(*camera.project(self.axis[window])))
         return seen + int(window.start)
 
     def shares_of_spans(self, is_seen: Mask) -> Floats:
-        """(n_spans,): the share of each span's axis where `is_seen` (N,) is True."""
+        """Return (n_spans,): the share of each span's axis where `is_seen` (N,) is True."""
         numbers = self.line.span_numbers(self.axis[:, 0])
         shares: Floats = np.bincount(numbers, is_seen) / np.bincount(numbers)
         return shares
 
     def span_id(self, span: int) -> str:
-        """The name of the span after structure number `span`, both counted from 0."""
+        """Return the name of the span after structure number `span`, both counted from 0."""
         return f"{self.structure_id(span)}-{self.structure_id(span + 1)}"
 
     def structure_id(self, structure: int) -> str:
-        """The name of a structure."""
+        """Return the name of a structure."""
         return f"S{structure + 1:02d}"
 
 
@@ -139,7 +139,7 @@ def plan_flight(options: SimulationOptions) -> FlightPlan:
 
 
 def _n_passed(options: SimulationOptions) -> int:
-    """How many structures a line needs that is longer than the flight."""
+    """Return how many structures a line needs to be longer than the flight."""
     passes = options.flight in {FlightKind.PASS_BY, FlightKind.LOSS}
     last_m = _BEYOND_M + (SPEED_M_S * options.seconds if passes else SPAN_M)
     return int(np.ceil(last_m / SPAN_M)) + 1 - _FIRST_STRUCTURE

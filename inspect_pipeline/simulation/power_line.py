@@ -20,7 +20,7 @@ POLE_HEIGHT_M = 12.5
 SAMPLE_M = 0.25
 _SAG_M = 1.1
 _SPACING_M, _BUNDLE_M = 1.6, 0.4
-_ARM_M, _RAISED_M = 12.3, 0.6  # where phases hang; the middle one of three hangs higher
+_ARM_M, _RAISED_M = 12.3, 0.6  # height of the phases; the middle one of three is higher
 _CIRCUIT_HALF_M, _TOP_ARM_M, _ARM_APART_M = 3.0, 15.0, 2.2  # of two circuits
 _NEUTRAL_Y_Z_M = (0.35, 9.2)
 _PHASE_DIAMETER_M, _NEUTRAL_DIAMETER_M = 0.045, 0.06
@@ -28,7 +28,7 @@ _FOREIGN_Z_M, _FOREIGN_HALF_M, _FOREIGN_DIAMETER_M = 6.5, 40.0, 0.045
 
 
 class Attachment(NamedTuple):
-    """Where one conductor hangs at every structure."""
+    """The point at which one conductor is attached to every structure."""
 
     conductor_id: str
     y: float
@@ -38,7 +38,7 @@ class Attachment(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conductor:
-    """Points (N, 3) along a conductor; is_there (N,) is False where it should hang but does not."""
+    """Points (N, 3) along a conductor; is_there (N,) is False where it is missing."""
 
     conductor_id: str
     points: Floats
@@ -60,25 +60,25 @@ class PowerLine:
 
     @property
     def structures_x(self) -> Floats:
-        """Where along x they stand."""
+        """The positions of the structures along x."""
         return np.arange(self.first, self.first + self.n_structures, dtype=np.float64) * SPAN_M
 
     @property
     def half_width_m(self) -> float:
-        """From the middle of the line to its outermost conductor."""
+        """The distance from the axis of the line to its outermost conductor."""
         return float(max(np.abs(conductor.points[0, 1]) for conductor in self.conductors))
 
     def __getitem__(self, conductor_id: str) -> Conductor:
         return next(c for c in self.conductors if c.conductor_id == conductor_id)
 
     def span_numbers(self, x: Floats) -> Ints:
-        """Which span, from 0, each x lies in."""
+        """Return the number of the span, from 0, at each x."""
         numbers = np.floor(x / SPAN_M).astype(np.int64) - self.first
         return np.clip(numbers, 0, self.n_structures - 2)
 
 
 def hang_line(first: int, n_structures: int, n_phases: int, n_bundle: int, n_circuits: int = 1) -> PowerLine:
-    """A line without faults; raises ValueError for fewer than two structures or one phase or wire."""
+    """Return a line without faults; raises ValueError for less than two structures, a phase or a wire."""
     if n_structures < 2 or n_phases < 1 or n_bundle < 1:
         raise ValueError("a line has at least two structures, a phase and a wire in its bundle")
     n_samples = round((n_structures - 1) * SPAN_M / SAMPLE_M) + 1
@@ -121,16 +121,16 @@ def _attachments(n_phases: int, n_bundle: int, n_circuits: int) -> list[Attachme
 
 
 def _catenary_drop(along: Floats) -> Floats:
-    """How far below its ends a conductor hangs, at shares of the span from 0 to 1."""
+    """Return the sag of a conductor below its ends, at shares of the span from 0 to 1."""
     half_m = SPAN_M / 2
-    # z = a cosh(x / a) sags by a (cosh(L / 2a) - 1), and less the larger a is.
+    # z = a cosh(x / a) sags by a (cosh(L / 2a) - 1), which decreases with a.
     a = brentq(lambda a: a * (np.cosh(half_m / a) - 1) - _SAG_M, half_m, 1e3 * SPAN_M)
     drop: Floats = a * (np.cosh(half_m / a) - np.cosh((along * SPAN_M - half_m) / a))
     return drop
 
 
 def remove_stretch(line: PowerLine, conductor_id: str, from_x: float, to_x: float) -> PowerLine:
-    """The line without a part of a conductor."""
+    """Return the line without a part of a conductor."""
     conductor = line[conductor_id]
     x = conductor.points[:, 0]
     is_there = conductor.is_there & ~((x >= from_x) & (x <= to_x))
@@ -138,7 +138,7 @@ def remove_stretch(line: PowerLine, conductor_id: str, from_x: float, to_x: floa
 
 
 def move_stretch(line: PowerLine, conductor_id: str, shift: Floats) -> PowerLine:
-    """The line with the points of a conductor moved by (N, 3)."""
+    """Return the line with the points of a conductor moved by (N, 3)."""
     conductor = line[conductor_id]
     return _with(line, replace(conductor, points=conductor.points + shift))
 
@@ -149,7 +149,7 @@ def _with(line: PowerLine, changed: Conductor) -> PowerLine:
 
 
 def cross(line: PowerLine, x: float, angle_rad: float) -> PowerLine:
-    """The line with another one passing below it at `x`, turned by an angle against it."""
+    """Return the line with another one that crosses below it at `x`, at an angle."""
     along = np.arange(-_FOREIGN_HALF_M, _FOREIGN_HALF_M, SAMPLE_M)
     points = np.column_stack(
         (x + along * np.cos(angle_rad), along * np.sin(angle_rad), np.full_like(along, _FOREIGN_Z_M))

@@ -1,4 +1,4 @@
-"""The records of a simulated flight's truth: structures, conductors, faults, and what each frame shows.
+"""Records of the ground truth of a simulated flight: structures, conductors, faults, and visible lines.
 
 `truth.simulate_truth(options)` computes them without drawing; `write.simulate_flight` draws the same flight.
 """
@@ -19,7 +19,7 @@ Quality = Literal["ok", "blurred", "dark", "overexposed"]
 
 @dataclass(frozen=True, slots=True)
 class StructureTruth:
-    """A pole: where it stands (WGS 84), the ellipsoidal altitude of its foot, its height."""
+    """A pole: position (WGS 84), ellipsoidal altitude of its foot, and height."""
 
     structure_id: str
     lat_deg: float
@@ -132,7 +132,7 @@ class FaultTruth:
 
 @dataclass(frozen=True, slots=True)
 class FlightTruth:
-    """The truth of a flight. span_coverage: the share of each span's axis that any good frame shows."""
+    """The ground truth of a flight. span_coverage: share of each span's axis that any good frame shows."""
 
     options: SimulationOptions
     frames: tuple[FrameTruth, ...]

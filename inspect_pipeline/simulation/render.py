@@ -1,4 +1,4 @@
-"""A frame of the drawn world: ground, trees, poles and conductors as the camera sees them."""
+"""Draw a frame of a simulated flight: ground, trees, poles and conductors in the view of the camera."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _SHIFT = 4  # binary places of the coordinates given to OpenCV
 _FINER = 4  # conductors are drawn this much larger, then averaged
 _LEAVES_DARK, _LEAVES_LIGHT = np.array((22, 36, 18)), np.array((112, 132, 66))  # RGB
 _AUTUMN = np.array((26, 10, -6))  # added to a tree of tint 1
-_SHADOW = 0.55  # of the light is missing
-# Strips of a beam over each other: share of the width, shift to the light, colour.
+_SHADOW = 0.55  # share of the light that is missing
+# Strips of a beam, drawn over each other: share of the width, shift towards the light, colour.
 _WOOD = (
     (1.0, 0.0, (64, 56, 48)),
     (0.8, 0.05, (96, 84, 72)),
@@ -34,7 +34,7 @@ _WOOD = (
     (0.2, 0.15, (147, 129, 110)),
 )
 _MASK = ((1.0, 0.0, (255,)),)
-_METAL = np.array((1.0, 0.99, 0.97))  # how a conductor's light is coloured
+_METAL = np.array((1.0, 0.99, 0.97))  # colour of the light that a conductor reflects
 # Strokes of a conductor, dark rim to bright top: share of the width, shift to the light, brightness.
 _ROUND = ((1.0, 0.0, 62), (0.78, 0.06, 104), (0.52, 0.1, 148), (0.26, 0.13, 186))
 _NOISE = 2.5
@@ -88,7 +88,7 @@ def render(
 
 
 def _draw_ground(landscape: Landscape, camera: SimulatedCamera) -> ImageArray:
-    """The plane z = 0, which a homography maps to the image; the camera is moved onto the first tile."""
+    """Draw the plane z = 0 by a homography, with the camera shifted onto the first tile."""
     tile_y_m, tile_x_m = (n * TEXEL_M for n in landscape.ground.shape[:2])
     x, y, z = camera.position
     moved = SimulatedCamera(
@@ -106,7 +106,7 @@ def _draw_ground(landscape: Landscape, camera: SimulatedCamera) -> ImageArray:
 
 
 def _far_to_near(trees: Iterable[Tree], camera: SimulatedCamera) -> list[Tree]:
-    """The trees that may be in the image."""
+    """Return the trees that may be in the image."""
     height, width = camera.image_size
     placed = []
     for tree in trees:
@@ -118,7 +118,7 @@ def _far_to_near(trees: Iterable[Tree], camera: SimulatedCamera) -> list[Tree]:
 
 
 def _draw_tree(image: ImageArray, camera: SimulatedCamera, tree: Tree, sun: Floats) -> None:
-    """Its shadow, then its clumps of leaves from far to near."""
+    """Draw the shadow of a tree, then its clumps of leaves from far to near."""
     on_ground = tree.clumps - sun * (tree.clumps[:, 2:] / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
     _draw_discs(shadow, camera, on_ground, 2 * tree.radii_m, np.full((len(on_ground), 1), 255))
@@ -146,7 +146,7 @@ def _draw_discs(
 
 
 def _touches(pixels: Floats, radii_px: Floats, image_size: tuple[int, int]) -> Mask:
-    """Which discs have a part in the image."""
+    """Return which discs overlap the image."""
     reach = radii_px[:, np.newaxis]
     is_near = (pixels > -reach) & (pixels < image_size[::-1] + reach)
     touches: Mask = np.all(is_near, axis=1)
@@ -170,7 +170,7 @@ def _draw_pole_shadow(image: ImageArray, camera: SimulatedCamera, x: float, sun:
 
 
 def _draw_pole(image: ImageArray, camera: SimulatedCamera, x: float, arm_half_m: float) -> None:
-    """A wooden pole with a crossarm."""
+    """Draw a wooden pole with a crossarm."""
     pole = np.array([[x, 0, 0], [x, 0, POLE_HEIGHT_M]])
     _draw_beam(image, camera, pole, 0.28, _WOOD)
     arm = np.array([[x, -arm_half_m, 12.1], [x, arm_half_m, 12.1]])
@@ -184,7 +184,7 @@ def _draw_beam(
     diameter_m: float,
     strips: Iterable[tuple[float, float, tuple[int, ...]]],
 ) -> None:
-    """A straight beam between two points, lit from one side."""
+    """Draw a straight beam between two points, lit from one side."""
     pixels, depths = camera.project(ends)
     if depths.min() < 1:
         return
@@ -199,7 +199,7 @@ def _draw_beam(
 
 
 def _trace_conductors(image: ImageArray, camera: SimulatedCamera, landscape: Landscape) -> Floats32:
-    """The image with its conductors, as float32: traced by themselves, laid over it."""
+    """Return the image as float32, overlaid with ray-traced conductors."""
     from lsnet.synth.pbr.wires import View, render_wires  # noqa: PLC0415 - loads much
 
     wires = [
@@ -215,7 +215,7 @@ def _trace_conductors(image: ImageArray, camera: SimulatedCamera, landscape: Lan
 
 
 def _draw_conductors(image: ImageArray, camera: SimulatedCamera, landscape: Landscape) -> Floats32:
-    """The image with its conductors, as float32: strokes in fine pixels, averaged, laid over it."""
+    """Return the image as float32, overlaid with conductors drawn at higher resolution and averaged."""
     height, width = camera.image_size
     fine = np.zeros((height * _FINER, width * _FINER, 2), np.uint8)  # brightness, coverage
     for conductor in landscape.conductors:
@@ -227,7 +227,7 @@ def _draw_conductors(image: ImageArray, camera: SimulatedCamera, landscape: Land
 
 
 def _draw_strokes(fine: ImageArray, pixels: Floats, widths_px: Floats) -> None:
-    """A round conductor along (N, 2) fine pixels: strokes of falling width and rising brightness."""
+    """Draw a round conductor along (N, 2) fine pixels: strokes of decreasing width and rising brightness."""
     along = np.gradient(pixels, axis=0)
     up = np.column_stack((along[:, 1], -along[:, 0])) / np.maximum(np.hypot(*along.T), 1e-6)[:, np.newaxis]
     up *= np.where(up[:, 1:] > 0, -1, 1)

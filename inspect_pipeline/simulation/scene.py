@@ -1,4 +1,4 @@
-"""The drawn world: a camera, what it sees of conductors, trees. In m: x along the line, y left, z up."""
+"""Cameras, visible parts of conductors, and trees. In metres: x along the line, y left, z up."""
 
 from __future__ import annotations
 
@@ -40,21 +40,21 @@ class SimulatedCamera:
 
     @property
     def matrix(self) -> Floats:
-        """(3, 4) from homogeneous world to homogeneous pixels."""
+        """Return the (3, 4) projection from homogeneous world coordinates to homogeneous pixels."""
         height, width = self.image_size
         f = self.focal_px
         intrinsics = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
         return intrinsics @ np.column_stack((self.rotation, -self.rotation @ self.position))
 
     def sees(self, pixels: Floats, depths: Floats) -> Mask:
-        """Which of projected points are inside the image and not too near."""
+        """Return which projected points are inside the image and not too near."""
         height, width = self.image_size
         x, y = pixels.T
         seen: Mask = (depths > _NEAREST_M) & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
         return seen
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
-        """(N, 2) pixels and (N,) depths in m of (N, 3) points; the pixels mean nothing behind the camera."""
+        """Return (N, 2) pixels, invalid behind the camera, and (N,) depths in m of (N, 3) points."""
         height, width = self.image_size
         seen = (points - self.position) @ self.rotation.T
         depths = seen[:, 2]
@@ -63,7 +63,7 @@ class SimulatedCamera:
 
 
 class Gaze(NamedTuple):
-    """Which way a camera looks from x: turned left by yaw, down by pitch, then rolled to the right."""
+    """Direction of a camera relative to x: yaw to the left, pitch downwards, then roll to the right."""
 
     yaw_rad: float
     pitch_rad: float
@@ -71,7 +71,7 @@ class Gaze(NamedTuple):
 
 
 def look(position: Floats, gaze: Gaze, focal_px: float, size: tuple[int, int]) -> SimulatedCamera:
-    """A camera at (3,) m, of an image of (height, width)."""
+    """Return the camera at (3,) m with an image of (height, width)."""
     (sin_y, sin_p, sin_r), (cos_y, cos_p, cos_r) = np.sin(gaze), np.cos(gaze)
     ahead = np.array([cos_y * cos_p, sin_y * cos_p, -sin_p])
     level = np.array([sin_y, -cos_y, 0.0])
@@ -130,7 +130,7 @@ def _at_border(inside: Floats, outside: Floats, image_size: tuple[int, int]) -> 
 
 
 def plant_trees(rng: np.random.Generator, first_m: float, last_m: float, sun: Floats) -> list[Tree]:
-    """Trees on both sides of the line, too low and too far to hide it."""
+    """Return trees on both sides of the line, too low and too far away to hide it."""
     count = int((last_m - first_m) * 0.5)
     trees = []
     for x in rng.uniform(first_m, last_m, count):

@@ -1,4 +1,4 @@
-"""Compute the truth of a simulated flight, without drawing it.
+"""Compute the ground truth of a simulated flight, without drawing it.
 
     truth = simulate_truth(SimulationOptions(seconds=60, faults=(FaultKind.MISSING_CONDUCTOR,)))
 
@@ -60,12 +60,12 @@ _MEASURES: dict[Quality, tuple[float, float]] = {  # sharpness, mean_luma of dra
 
 
 def simulate_truth(options: SimulationOptions) -> FlightTruth:
-    """Return the truth of the flight that options describe. Raises ValueError for an impossible line."""
+    """Return the ground truth of a flight. Raises ValueError for an impossible line."""
     return truth_of(plan_flight(options))
 
 
 def truth_of(plan: FlightPlan) -> FlightTruth:
-    """Return the truth of a planned flight."""
+    """Return the ground truth of a planned flight."""
     frames: list[FrameTruth] = []
     shown, n_recorded = [], 0
     is_seen = np.zeros(len(plan.axis), bool)

@@ -55,7 +55,7 @@ _TOPICS = {
         "/camera/image/compressed", "/camera/camera_info", "/drone/fix", "/drone/pose", "/camera/pose"
     ),
 }
-_VIEW_M = (-5.0, 75.0)  # where trees are planted, behind and ahead of the flight
+_VIEW_M = (-5.0, 75.0)  # extent of the trees behind and ahead of the flight
 _ARM_BEYOND_M = 0.2
 _JPEG_QUALITY = 92
 
@@ -82,7 +82,7 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
 
 
 def _fly(author: Author, plan: FlightPlan, truth: FlightTruth) -> None:
-    """Write all messages in the order of time."""
+    """Write all messages in the order of their times."""
     topics = _TOPICS[plan.options.schema]
     rng = np.random.default_rng(plan.options.seed)
     landscape = _make_landscape(rng, plan)
@@ -129,7 +129,7 @@ def _make_ground(rng: np.random.Generator, photograph: Path | None) -> ImageArra
 
 
 def _to_json(truth: FlightTruth) -> dict[str, Any]:
-    """Return the truth as JSON values, pixels rounded to a hundredth."""
+    """Return the ground truth as JSON values, with pixels rounded to a hundredth."""
 
     def plain(value: object) -> object:
         if isinstance(value, Path):
@@ -183,7 +183,7 @@ def _write_attitudes(author: Author, topics: _Topics, plan: FlightPlan, time_ns:
         (topics.camera, "camera_link", pose.yaw_rad, pose.pitch_rad, pose.roll_rad),
     ):
         east_yaw_rad = np.deg2rad(90 - compass_deg(plan, yaw_rad))
-        # Its own way to a quaternion in ENU: the code that reads it is judged by what is written here.
+        # Independent of the code that reads quaternions, which is tested against what is written here.
         qx, qy, qz, qw = Rotation.from_euler("ZYX", (east_yaw_rad, down_rad, roll_rad)).as_quat().tolist()
         rotation = Quaternion(qw, qx, qy, qz)
         author.write_attitude(topic, START_NS + time_ns, "map", child, rotation, translation_m=place_m)

@@ -119,7 +119,7 @@ def draw_cable(
 
 
 def _shade(s: FloatImage, u: FloatImage, w: FloatImage, finish: Finish) -> FloatImage:
-    """Brightness of the cylinder at s in [-1, 1] across it: Lambertian, with strands if wide enough."""
+    """Return the brightness at s in [-1, 1] across a cylinder: Lambertian, with strands if wide enough."""
     facing = np.maximum(s * finish.light + np.sqrt(np.maximum(1 - s * s, 0)) * (1 - abs(finish.light)), 0)
     shade = finish.ambient + finish.diffuse * facing
     if finish.strand_px > 0:

@@ -1,4 +1,4 @@
-"""Random cables: how many, where, how wide, how lit. The numbers say what a low-flying camera sees."""
+"""Random cables: count, position, width and light, as seen by a camera that flies low."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     Rng = np.random.Generator
 
 MAX_WIDTH_PX = 14.0
-WIDEST_SHARE = 1 / 27  # of the image's side, where that is less
+WIDEST_SHARE = 1 / 27  # of the side of the image, where that is less
 
 
 def add_cables(image: Image, rng: Rng) -> list[Points]:
@@ -38,12 +38,12 @@ def _family(image: Image, rng: Rng, count: int) -> list[Points]:
     across = np.array([-along[1], along[0]])
     centre = np.array([rng.uniform(0, width), rng.uniform(0, height)])
     busyness = _busyness(image)
-    thinnest = min(0.9 + 0.06 * busyness, 3.0)  # nobody sees a thinner one before leaves
+    thinnest = min(0.9 + 0.06 * busyness, 3.0)  # thinner ones are invisible in front of leaves
     widest = max(min(MAX_WIDTH_PX, WIDEST_SHARE * min(height, width)), 1.5 * thinnest)
     base_width = float(np.exp(rng.uniform(np.log(thinnest), np.log(widest))))
     spread = rng.uniform(0.05, 0.9) * reach
     offsets = np.sort(rng.uniform(-0.5, 0.5, count)) * spread
-    if rng.random() < 0.25 and count > 1:  # a twin a few widths beside its neighbour
+    if rng.random() < 0.25 and count > 1:  # a second cable a few widths beside its neighbour
         offsets[1] = offsets[0] + base_width * rng.uniform(1.8, 6) + rng.uniform(1, 6)
     converge = rng.normal(0, 0.06)
     sag = rng.normal(0, 0.02) * reach if rng.random() < 0.6 else 0.0
@@ -61,7 +61,7 @@ def _family(image: Image, rng: Rng, count: int) -> list[Points]:
 
 
 def _arc(through: Points, angle: float, sag: float, size: tuple[int, int], *, rng: Rng) -> Arc:
-    """An arc through a point, past both borders of the image, or ending inside it now and then."""
+    """Return an arc through a point that crosses the image, or sometimes ends in it."""
     angle += rng.normal(0, 0.012)
     along = np.array([np.cos(angle), np.sin(angle)])
     before = after = 1.2 * float(np.hypot(*size))
@@ -75,7 +75,7 @@ def _arc(through: Points, angle: float, sag: float, size: tuple[int, int], *, rn
 
 
 def _busyness(image: Image) -> float:
-    """Mean contrast within a few pixels, grey levels: about 3 of asphalt, 25 of sunlit leaves."""
+    """Return the mean contrast within a few pixels in grey levels: asphalt 3, sunlit leaves 25."""
     grey = image.mean(axis=2)
     return float(np.abs(grey - cv2.blur(grey, (7, 7))).mean())
 
@@ -111,7 +111,7 @@ def _finish(image: Image, rng: Rng, busyness: float) -> Finish:
 
 
 def _under_the_sky(rng: Rng) -> Finish:
-    """Smooth grey, one flank bluish with the light of the sky, the other dark."""
+    """Return smooth grey, with one side bluish by the light of the sky and the other dark."""
     rgb = rng.uniform(90, 190) * np.array([rng.uniform(0.85, 1), 1.0, rng.uniform(1, 1.25)])
     return Finish(
         rgb=(float(rgb[0]), float(rgb[1]), float(rgb[2])),
@@ -124,7 +124,7 @@ def _under_the_sky(rng: Rng) -> Finish:
 
 
 def _leaves(image: Image, rng: Rng) -> Image | None:
-    """A mask of leaves that hide short stretches of a cable, or None for a free one."""
+    """Return a mask of leaves that hide short stretches of a cable, or None."""
     if rng.random() > 0.12:
         return None
     height, width = image.shape[:2]

@@ -131,7 +131,7 @@ def test_photographs_become_a_recording(tmp_path: Path, capfd: pytest.CaptureFix
     assert stored == [(folder / name).read_bytes() for name in ("b.JPG", "a.jpg", "c.jpg")]
 
 
-def test_the_zone_of_the_clock_is_told_by_gps_or_by_exif(tmp_path: Path) -> None:
+def test_the_zone_of_the_clock_is_read_from_gps_or_exif(tmp_path: Path) -> None:
     gps = {"GPSDateStamp": "2024:05:01", "GPSTimeStamp": (6.0, 29.0, 58.0)}
     for name, fields in (("gps", gps), ("none", {})):
         (tmp_path / name).mkdir()
@@ -142,11 +142,11 @@ def test_the_zone_of_the_clock_is_told_by_gps_or_by_exif(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("told", "wanted"),
+    ("recorded", "wanted"),
     [("2024-05-01 12:00:00", "2024-05-01T12:00:00"), ("2024-05-01T12:00:00.5Z", "2024-05-01T12:00:00.500")],
 )
-def test_when_a_video_was_made(tmp_path: Path, told: str, wanted: str) -> None:
-    assert _start_ns(tmp_path, [], {"creation_time": told}, UTC, None) == utc_ns(wanted)
+def test_when_a_video_was_made(tmp_path: Path, recorded: str, wanted: str) -> None:
+    assert _start_ns(tmp_path, [], {"creation_time": recorded}, UTC, None) == utc_ns(wanted)
 
 
 @pytest.mark.parametrize("metadata", [{}, {"creation_time": "yesterday"}])
@@ -203,7 +203,7 @@ def test_a_video_and_its_subtitles_become_a_recording(tmp_path: Path) -> None:
     assert (third.latitude_deg, third.longitude_deg, third.altitude_m) == (-48.3, 11.7, 502.5)
 
 
-def test_what_cannot_be_packed_is_told_in_one_line(tmp_path: Path) -> None:
+def test_what_cannot_be_packed_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.mp4").write_text("no video")
     make_video(tmp_path / "undated.mp4")

@@ -408,6 +408,9 @@ def test_errors_of_the_detector_are_one_line(
         ["query", "SELECT 1", "--named", "flights"],
         ["query", "-f", "none.sql"],
         ["query", " "],
+        ["query", "SELECT 1", "-o", ""],
+        ["overlay", "last", "-o", ""],
+        ["flights", "list", "--store", ""],
         ["flights", "list", "--timezone", "Mars/Olympus"],
     ],
 )

@@ -198,7 +198,9 @@ def attack_output(rng: Generator, folder: Path, templates: Templates) -> Attack:
             return "the FIFO was replaced"
         if kind in {"link", "loop"} and not target.is_symlink():
             return "the link was replaced"
-        if exit_code == 0 and kind != "fifo" and not (folder / "work" / name).is_file():
+        written = folder / "work" / name
+        has_files = written.is_dir() and any(written.iterdir())  # overlay fills folders
+        if exit_code == 0 and kind != "fifo" and not (written.is_file() or has_files):
             return "no file"
         return None
 

@@ -87,11 +87,14 @@ bench: $(INSTALLED)
 bench-tracks: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_tracks.py
 
-# SEEDS=3 DRAWN=1 for a look
+# MATRIX=full for harder flights; SEEDS=2 DRAWN=0 CLEAN=6 FLIGHTS=0 for a look of some minutes
 SEEDS ?= 20
 DRAWN ?= 2
+CLEAN ?= 60
+MATRIX ?= basic
+FLIGHTS ?= 1000
 bench-inspection: $(INSTALLED)
-	$(BIN)/python benchmarks/bench_inspection.py --seeds $(SEEDS) --drawn $(DRAWN)
+	$(BIN)/python benchmarks/bench_inspection.py --matrix $(MATRIX) --seeds $(SEEDS) --drawn $(DRAWN) --clean $(CLEAN) --flights $(FLIGHTS)
 
 clean:
 	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache

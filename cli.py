@@ -15,6 +15,7 @@ from inspect_pipeline.commands import (
     anomalies,
     batch,
     check,
+    compare,
     detect,
     doctor,
     export,
@@ -51,6 +52,7 @@ app.command()(process.process)
 app.command()(batch.batch)
 app.command()(query.query)
 app.command()(check.check)
+app.command()(compare.compare)
 app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)

@@ -15,6 +15,7 @@ from inspect_pipeline.inspection.anomalies.conductors import (
     measured_fits,
 )
 from inspect_pipeline.inspection.anomalies.spans import (
+    doubt_rare,
     find_count_changes,
     inner_bins,
     missing_conductors,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
-_HIDDEN_SHARE = 0.5  # of the frames that show a bin, from which on its conductor is hidden by another
+_HIDDEN_SHARE = 0.5  # of the views of a bin, from which on its conductor is hidden by another
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,7 @@ def find_on_spans(
     channel_id: int, evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: Rules
 ) -> ConductorFindings:
     """Apply all rules about conductors to the spans near the path of a camera."""
+    evidence = doubt_rare(evidence, rules)
     usual = usual_count(evidence, rules)
     findings: list[Finding] = []
     outcomes: list[SpanOutcomes] = []

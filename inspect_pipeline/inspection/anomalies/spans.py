@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,6 +53,24 @@ def missing_conductors(one: SpanEvidence, rules: Rules) -> Ints:
     n_known, n_absent = (states != UNKNOWN).sum(axis=1), (states == ABSENT).sum(axis=1)
     is_long = n_known * one.axis.bin_m >= limits["min_length_m"]
     return np.flatnonzero(is_long & (n_absent >= limits["min_share"] * n_known))
+
+
+def doubt_rare(evidence: Sequence[SpanEvidence], rules: Rules) -> list[SpanEvidence]:
+    """Return the evidence without what it says of conductors that more spans lack than have.
+
+    Such a place is more likely a mistake than a conductor.
+    """
+    missing = Counter(number for one in evidence for number in missing_conductors(one, rules).tolist())
+    present = Counter(
+        number for one in evidence for number in np.flatnonzero(_has_conductors(one, rules)).tolist()
+    )
+    rare = [number for number in missing if missing[number] > present[number]]
+    doubted = []
+    for one in evidence:
+        states = one.states.copy()
+        states[[number for number in rare if number < len(states)]] = UNKNOWN
+        doubted.append(replace(one, states=states))
+    return doubted
 
 
 def find_count_changes(

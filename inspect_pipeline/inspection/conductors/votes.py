@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from inspect_pipeline.inspection.span_view import visible_gsd_m
 
@@ -34,6 +35,7 @@ _MAX_DISPLACED_M, _MIN_DISPLACED_BINS = (
     4,
 )  # of a line of a conductor that hangs elsewhere than on other spans
 _MISSED_WEIGHT = 0.5  # of a frame in which a conductor was found nowhere: it may have been missed
+_WIDEN_SD = 1.5  # of errors of positions
 _MIN_DEPTH_M = 0.5  # of conductors below the camera
 _MIN_FOUND = 0.5  # of the conductors that a frame shows; others of poor detection or pose say nothing
 
@@ -85,7 +87,15 @@ def count_votes(sight: SpanSight, places: Sequence[Place], rules: Rules) -> Vote
     weight *= np.where(in_frame, 1.0, _MISSED_WEIGHT)[:, :, np.newaxis]
     weight[_share_found(in_frame, says) < _MIN_FOUND] = 0.0
     hidden = np.asarray(visible & ~says).sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
-    return Votes(owner, in_frame, weight, np.where(present, 0.0, weight), hidden)
+    absent = _widen(~present & visible, round(_WIDEN_SD * sight.shift_sd_m / sight.axis.bin_m))
+    return Votes(owner, in_frame, weight, np.where(absent, weight, 0.0), hidden)
+
+
+def _widen(absent: Mask, n_bins: int) -> Mask:
+    """Return absent stretches (N, K, B) widened at both ends, by as much as errors of positions blur them."""
+    if not n_bins:
+        return absent
+    return np.asarray(maximum_filter1d(absent, 2 * n_bins + 1, axis=2, mode="constant"))
 
 
 def _appear(sight: SpanSight, places: Sequence[Place]) -> Floats:

@@ -3,13 +3,14 @@
     python benchmarks/bench_inspection.py [--matrix basic|full] [--seeds 20] [--first-seed 1000] [--drawn 2]
         [--clean 60] [--kinds blur dark ...] [--jobs 2] [--shard 1/4] [--results FILE] [--flights 1000]
 
-For each seed and each kind of anomaly, one fault is planted into a flight; --clean flights have none. `basic`:
-40 s at 4 frames a second past a line of three phases, exact poses. `full`: every way to fly, 3 and 6 phases,
-bundles of 1, 2 and 4, two circuits, 640x360 to 3840x2160, 1 to 10 frames a second, half of them with errors of
-poses. The true lines are disturbed (2 px of noise on every point, one in ten missed, one false line a frame) and
-pass through parquet files and the index like all lines. A hit is an anomaly of the kind whose interval overlaps
-the true one by at least half of their union; recall and precision count where the index says that it judged.
-For the first --drawn seeds, flights of 20 s are drawn and processed with the shipped weights.
+For each seed and each kind of anomaly, one fault is planted into a flight; --clean flights have none.
+`basic`: 40 s at 4 frames a second past a line of three phases, exact poses. `full`: every way to fly, 3 and
+6 phases, bundles of 1, 2 and 4, two circuits, 640x360 to 3840x2160, 1 to 10 frames a second, half of them
+with errors of poses. The true lines are disturbed (2 px of noise on every point, one in ten missed, one
+false line a frame) and pass through parquet files and the index like all lines. A hit is an anomaly of the
+kind whose interval overlaps the true one by at least half of their union; recall and precision count where
+the index says that it judged. For the first --drawn seeds, flights of 20 s are drawn and processed with the
+shipped weights.
 
 A case takes 2 to 10 s on one core: `full` with 20 seeds has 320 and takes half an hour. A drawn one takes
 minutes. --results keeps each outcome and skips those that it has, so a run can be resumed; --shard I/N runs

@@ -27,6 +27,7 @@ class What(StrEnum):
     frames = "frames"
     lines = "lines"
     spans = "spans"
+    conductors = "conductors"
     gaps = "gaps"
     signals = "signals"
 

@@ -43,7 +43,8 @@ INSERT INTO anomalies BY NAME
 SELECT printf('%012x', i) AS anomaly_id, flight_id, channel_id, 'conductor_gap' AS kind,
        printf('3 of 4 conductors for 3.0 m from 27 m of span %s', span_id) AS reason,
        3.0 AS value, 2.0 AS threshold, 'm' AS unit, frame_idx AS first_frame_idx, frame_idx AS last_frame_idx,
-       [frame_idx] AS evidence_frames, log_time_ns AS start_ns, log_time_ns AS end_ns, span_id,
+       [frame_idx, frame_idx + 6, frame_idx + 12, frame_idx + 18] AS evidence_frames,
+       log_time_ns AS start_ns, log_time_ns AS end_ns, span_id,
        (from_lat_deg + to_lat_deg) / 2 AS lat_deg, (from_lon_deg + to_lon_deg) / 2 AS lon_deg,
        ['high', 'medium', 'low'][1 + i % 3] AS priority
 FROM (

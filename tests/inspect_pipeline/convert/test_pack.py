@@ -204,7 +204,10 @@ def test_a_video_and_its_subtitles_become_a_recording(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_packed_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
+    for name in ("empty", "raw", "clockless"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "raw" / "a.DNG").touch()
+    photograph(tmp_path / "clockless" / "a.jpg", None)
     (tmp_path / "text.mp4").write_text("no video")
     make_video(tmp_path / "undated.mp4")
     make_video(tmp_path / "b.mp4")
@@ -212,7 +215,9 @@ def test_what_cannot_be_packed_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "there.mcap").write_text("")
     for source, target, message in (
         ("absent", "a.mcap", "there is no such file or folder"),
-        ("empty", "a.mcap", "no JPEG that says when it was taken"),
+        ("empty", "a.mcap", "no MCAP file and no JPEG; name another folder"),
+        ("raw", "a.mcap", r"it has pictures \(.dng\) but no JPEG; convert them"),
+        ("clockless", "a.mcap", "its JPEG does not say when it was taken; set"),
         ("text.mp4", "a.mcap", "not a video"),
         ("undated.mp4", "a.mcap", "does not say when it was taken"),
         ("b.mp4", "there.mcap", "exists already"),
@@ -230,7 +235,7 @@ def test_the_command(tmp_path: Path) -> None:
     app.command()(pack_command)
     result = CliRunner().invoke(app, [str(tmp_path), str(tmp_path / "a.mcap")])
     assert result.exit_code == 0
-    assert result.stdout == f"{tmp_path / 'a.mcap'}: 1 images, 0 positions, 1 attitudes\n"
+    assert result.stdout == f"{tmp_path / 'a.mcap'}: 1 image, 0 positions, 1 attitude\n"
     assert "b.jpg does not say when it was taken" in result.stderr
 
 

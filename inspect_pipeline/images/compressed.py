@@ -96,11 +96,12 @@ def _decode_without_end(data: memoryview) -> Pixels:
 def _decode_with_pillow(data: memoryview) -> Pixels:
     try:
         with Image.open(BytesIO(data), formats=_FORMATS) as image:
-            _check_size(image.width * image.height, len(data))
-            if _is_deep_colour(image, data):
-                image.load()  # raises for damage, of which OpenCV would print
-                return _decode_deep_colour(data)
-            return _to_pixels(image)
+            is_deep = _is_deep_colour(image, data)
+            _check_size(image.width * image.height, len(data), _MAX_PIXELS // 2 if is_deep else _MAX_PIXELS)
+            if not is_deep:
+                return _to_pixels(image)
+            image.load()  # raises for damage, of which OpenCV would print
+        return _decode_deep_colour(data)
     except ImageError:
         raise
     except Image.DecompressionBombError as error:
@@ -156,9 +157,9 @@ def _to_pixels(image: Image.Image) -> Pixels:
     return Pixels(np.asarray(image.convert("RGB"), np.uint8))
 
 
-def _check_size(n_pixels: int, n_bytes: int) -> None:
-    if n_pixels > _MAX_PIXELS:
-        raise ImageError(f"the image claims more than {_MAX_PIXELS >> 20} megapixels")
+def _check_size(n_pixels: int, n_bytes: int, n_most: int = _MAX_PIXELS) -> None:
+    if n_pixels > n_most:
+        raise ImageError(f"the image claims more than {n_most >> 20} megapixels")
     if n_pixels > max(_MAX_PIXELS_PER_BYTE * n_bytes, _SMALL_PIXELS):
         raise ImageError("the image claims more pixels than its bytes can hold")
 

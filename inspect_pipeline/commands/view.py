@@ -89,7 +89,7 @@ def _print_desktop(files: dict[str, Path], name: str) -> None:
     recordings = [str(path) for path in files.values() if path.suffix == ".mcap"]
     layout = str(files["layout.json"])
     print_line(
-        f"Desktop     cp {shlex.quote(layout)} {_LAYOUTS}/{name}.json &&"
+        f"Desktop     mkdir -p {_LAYOUTS} && cp {shlex.quote(layout)} {_LAYOUTS}/{name}.json &&"
         f" lichtblick --source={shlex.quote(recordings[0])} --defaultLayout={name}"
     )
     print_line(f"            or drop into the window: {' '.join(map(shlex.quote, [*recordings, layout]))}")

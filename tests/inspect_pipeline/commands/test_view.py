@@ -41,7 +41,7 @@ def test_links_and_command_of_a_flight(tmp_path: Path, monkeypatch: pytest.Monke
     assert query["layoutUrl"][0] in layout
     assert "app.foxglove.dev" in foxglove
     copied = [str(folder / "layout.json"), f"~/.lichtblick-suite/layouts/{folder.name[:8]}.json"]
-    assert shlex.split(desktop)[5:7] == copied
+    assert shlex.split(desktop)[6:8] == copied
     assert shlex.split(drop)[-1] == str(folder / "layout.json")
 
 

@@ -33,7 +33,7 @@ class Outcome(NamedTuple):
 
 @pytest.fixture
 def run(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path, bare_flights: None
 ) -> Callable[..., Outcome]:
     """Run `lsnet-pipe ...` in this process and a folder of its own, where recordings wait in ./inbox."""
     monkeypatch.chdir(tmp_path)

@@ -71,7 +71,7 @@ class Night:
 
 
 @pytest.fixture
-def real_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
+def real_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bare_flights: None) -> Iterator[Night]:
     """With worker processes, which take over sys.path."""
     monkeypatch.syspath_prepend(LIGHT)
     night = Night(tmp_path)

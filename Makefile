@@ -41,7 +41,7 @@ demo: $(INSTALLED)
 	$(LSNET_PIPE) query "SELECT n_frames, n_bad_frames, n_lines, duration_s, frame_coverage FROM flight_summary" $(DEMO_STORE)
 	$(LSNET_PIPE) query "SELECT frame_idx, n_lines, sharpness::INTEGER AS sharpness, infer_ms::INTEGER AS infer_ms FROM frames ORDER BY n_lines DESC, frame_idx LIMIT 5" $(DEMO_STORE)
 	$(LSNET_PIPE) query "SELECT floor(angle_deg / 30)::INTEGER * 30 AS angle_from_deg, count(*) AS n_lines, avg(length_px)::INTEGER AS mean_length_px FROM lines GROUP BY ALL ORDER BY ALL" $(DEMO_STORE)
-	$(LSNET_PIPE) overlay $$($(LSNET_PIPE) query --format csv "SELECT flight_id FROM flights" $(DEMO_STORE) | tail -n 1) -o demo/overlay.png $(DEMO_STORE)
+	$(LSNET_PIPE) overlay last -o demo/overlay.png $(DEMO_STORE)
 	@echo
 	@echo "recording      demo/demo.mcap, its truth demo/demo.truth.json"
 	@echo "annotated copy $$(ls demo/store/flights/*/annotated.mcap); in Lichtblick or Foxglove: $(LSNET_PIPE) view last $(DEMO_STORE)"

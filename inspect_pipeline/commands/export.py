@@ -154,8 +154,8 @@ def _choose_format(output: Path, what: What, form: Form | None) -> Form:
 
 
 def _find_flights(store: Store, name: str | None) -> list[str]:
+    from inspect_pipeline.index.flights import resolve_flight
     from inspect_pipeline.index.reading import select
-    from inspect_pipeline.report.data import resolve_flight
 
     if name is not None:
         return [resolve_flight(store, name)]

@@ -76,7 +76,7 @@ def view(
 def _find(store: Store, flight: str | None, anomaly: str | None) -> tuple[str, int | None]:
     """Return the flight_id and the time to start at."""
     from inspect_pipeline.index.anomalies import find_anomaly
-    from inspect_pipeline.report.data import resolve_flight
+    from inspect_pipeline.index.flights import resolve_flight
 
     if anomaly is not None:
         row = find_anomaly(store, anomaly)

@@ -80,7 +80,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters = ("kind_name", "percent", "metres", "duration", "clock", "date", "quantity")
+    filters = ("kind_name", "percent", "metres", "measured_m", "duration", "clock", "date", "quantity")
     environment.filters |= {name: getattr(words, name) for name in filters}
     environment.globals |= {"PRIORITIES": PRIORITIES, "STATE_NAMES": STATE_NAMES}
     return environment

@@ -78,7 +78,10 @@ reliability: $(INSTALLED)
 reliability-short: $(INSTALLED)
 	$(BIN)/python -m pytest -q -n auto -m 'reliability and not slow'
 
+# RIVAL=M-LSD_512_tiny_fp32.tflite of github.com/navervision/mlsd
 bench: $(INSTALLED)
+	$(BIN)/python benchmarks/bench_speed.py $(if $(RIVAL),--rival $(RIVAL))
+	PYTHONPATH=. $(BIN)/python benchmarks/bench_process.py
 	$(BIN)/python benchmarks/bench_help.py
 	$(BIN)/python benchmarks/bench_encode.py
 	$(BIN)/python benchmarks/bench_append.py

@@ -90,6 +90,6 @@ def _print_desktop(files: dict[str, Path], name: str) -> None:
     layout = str(files["layout.json"])
     print_line(
         f"Desktop     mkdir -p {_LAYOUTS} && cp {shlex.quote(layout)} {_LAYOUTS}/{name}.json &&"
-        f" lichtblick --source={shlex.quote(recordings[0])} --defaultLayout={name}"
+        f" lichtblick {' '.join(map(shlex.quote, recordings))} --defaultLayout={name}"
     )
     print_line(f"            or drop into the window: {' '.join(map(shlex.quote, [*recordings, layout]))}")

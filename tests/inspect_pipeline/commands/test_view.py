@@ -42,6 +42,8 @@ def test_links_and_command_of_a_flight(tmp_path: Path, monkeypatch: pytest.Monke
     assert "app.foxglove.dev" in foxglove
     copied = [str(folder / "layout.json"), f"~/.lichtblick-suite/layouts/{folder.name[:8]}.json"]
     assert shlex.split(desktop)[6:8] == copied
+    recordings = [str(folder / name) for name in ("annotated.mcap", "review.mcap")]
+    assert shlex.split(desktop)[9:] == ["lichtblick", *recordings, f"--defaultLayout={folder.name[:8]}"]
     assert shlex.split(drop)[-1] == str(folder / "layout.json")
 
 

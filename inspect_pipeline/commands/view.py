@@ -85,7 +85,7 @@ def _find(store: Store, flight: str | None, anomaly: str | None) -> tuple[str, i
 
 
 def _print_desktop(files: dict[str, Path], name: str) -> None:
-    """Print how the desktop applications open the files: by the command line, or dropped into the window."""
+    """Print how the desktop applications open the files: a command, and what to drop into the window."""
     recordings = [str(path) for path in files.values() if path.suffix == ".mcap"]
     layout = str(files["layout.json"])
     print_line(

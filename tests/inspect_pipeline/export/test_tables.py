@@ -78,7 +78,7 @@ def test_an_export_is_read_back_equal(store: Store, tmp_path: Path, what: str, f
 
 
 def read_rows(store: Store, what: str) -> list[tuple[float, ...]]:
-    """Longitude and latitude of the ends of each row, by the tables of the index."""
+    """Longitude and latitude of the ends of each row, as the tables of the index have them."""
     if what == "conductors":
         rows = select(store, "FROM conductors JOIN spans USING (span_id)")
         return [beside(row) for row in rows]

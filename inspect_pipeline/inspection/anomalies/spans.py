@@ -108,7 +108,7 @@ def _find_deficits(
         if is_at_end and not _is_end_certain(one, number, bins, rules):
             continue
         kind = "conductor_lost" if is_at_end else "conductor_gap"
-        limit_m = rules.of(kind)["min_length_m"]
+        limit_m = rules.of(kind)["min_length_m"] + one.sight.widened_bins * bin_m
         if length_m < limit_m:
             continue
         start_m = one.axis.bins_m[bins[0]] - bin_m / 2

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.span_view import SpanAxis, SpanView
 
 _STEP_M = 0.1
+_WIDEN_SD = 1.5  # of errors of positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,11 @@ class SpanSight:
     coarse: Mask
     noise_m: float = 0.1
     shift_sd_m: float = 0.1
+
+    @property
+    def widened_bins(self) -> int:
+        """By how many bins errors of positions blur each end of a stretch without a conductor."""
+        return round(_WIDEN_SD * self.shift_sd_m / self.axis.bin_m)
 
     @property
     def fine(self) -> Mask:

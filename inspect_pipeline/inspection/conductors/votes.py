@@ -35,7 +35,6 @@ _MAX_DISPLACED_M, _MIN_DISPLACED_BINS = (
     4,
 )  # of a line of a conductor that hangs elsewhere than on other spans
 _MISSED_WEIGHT = 0.5  # of a frame in which a conductor was found nowhere: it may have been missed
-_WIDEN_SD = 1.5  # of errors of positions
 _MIN_DEPTH_M = 0.5  # of conductors below the camera
 _MIN_FOUND = 0.5  # of the conductors that a frame shows; others of poor detection or pose say nothing
 
@@ -87,7 +86,7 @@ def count_votes(sight: SpanSight, places: Sequence[Place], rules: Rules) -> Vote
     weight *= np.where(in_frame, 1.0, _MISSED_WEIGHT)[:, :, np.newaxis]
     weight[_share_found(in_frame, says) < _MIN_FOUND] = 0.0
     hidden = np.asarray(visible & ~says).sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
-    absent = _widen(~present & visible, round(_WIDEN_SD * sight.shift_sd_m / sight.axis.bin_m))
+    absent = _widen(~present & visible, sight.widened_bins)
     return Votes(owner, in_frame, weight, np.where(absent, weight, 0.0), hidden)
 
 

@@ -20,15 +20,15 @@ WHERE a.flight_id = ? AND b.flight_id = ?
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class FlightComparison:
     """Changes between two flights, as of the named query `compare`, and how many spans both judged."""
 
     changes: list[dict[str, Any]]
     n_spans: int
 
 
-def compare_flights(store: Store, before: str, after: str) -> Comparison:
+def compare_flights(store: Store, before: str, after: str) -> FlightComparison:
     """Return what changed from one flight to another, by their ids; raises StoreError."""
     statement = find_query("compare").with_values({"before": before, "after": after})
     (compared,) = select(store, _COMPARED, [before, after])
-    return Comparison(select(store, statement), compared["n"])
+    return FlightComparison(select(store, statement), compared["n"])

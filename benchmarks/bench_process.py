@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -123,11 +122,14 @@ def run(*words: object) -> Usage:
 
 def run_python(*words: object) -> Usage:
     """Run Python to its end."""
-    before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([sys.executable, *map(str, words)], check=True, stdout=subprocess.DEVNULL)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Usage(time.perf_counter() - started, cpu_s, after.ru_maxrss << 10)
+    started = time.perf_counter()
+    command = [sys.executable, *map(str, words)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
+    return Usage(time.perf_counter() - started, used.ru_utime + used.ru_stime, used.ru_maxrss << 10)
 
 
 def count_lines(store: Path, failed: list[str], n_frames: int) -> int:

@@ -86,6 +86,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_encode.py
 	$(BIN)/python benchmarks/bench_append.py
 	$(BIN)/python benchmarks/bench_store.py
+	$(BIN)/python benchmarks/bench_report.py
 
 bench-tracks: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_tracks.py

@@ -14,11 +14,12 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.images import open_rgb
+from lsnet.lines.score import read_line_score
 from lsnet.postprocess import Postprocessor
 from lsnet.preprocess import MAX_SCALE, automatic_scale, prepare
 from lsnet.runtime.backend import open_backend
 from lsnet.tiles import join, tiles_of
-from lsnet.weights_file import read_weights
+from lsnet.weights_file import WeightsFile, read_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from lsnet.runtime.backend import Backend
     from lsnet.segments import Detections
     from lsnet.weights import Weights
-    from lsnet.weights_file import WeightsFile
 
 
 class Detector:
@@ -45,7 +45,8 @@ class Detector:
         self, weights: Weights | WeightsFile, backend: Backend, scale: float | None, min_score: float
     ) -> None:
         self._card, self._sha256, self._backend = weights.card, weights.sha256, backend
-        self._postprocess = Postprocessor(min_score)
+        line_score = read_line_score(weights) if isinstance(weights, WeightsFile) else None
+        self._postprocess = Postprocessor(min_score, line_score)
         self.scale, self.min_score = scale, min_score
 
     @classmethod

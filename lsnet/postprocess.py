@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lsnet.chaining import ChainingConfig, chain_segments
 from lsnet.geometry import clip_to_boxes
 from lsnet.grid import GridCoder
+from lsnet.lines.chaining import ChainingConfig, chain_segments
 from lsnet.segments import Detections, Segments
 
 if TYPE_CHECKING:
     from lsnet.arrays import Maps
+    from lsnet.lines.score import LineScore
     from lsnet.preprocess import PreparedImage
 
 
@@ -26,6 +28,7 @@ class Postprocessor:
     """
 
     min_score: float
+    line_score: LineScore | None = None  # None: lines are scored by the odds of their segments
     coder: GridCoder = field(default_factory=GridCoder)
     chaining: ChainingConfig = field(default_factory=ChainingConfig)
 
@@ -34,7 +37,11 @@ class Postprocessor:
         min_decoded = min(self.min_score, self.chaining.min_segment_score)
         decoded = self.coder.decode(*maps, image.padded_size, min_decoded)
         segments = clip_segments(decoded, image.scaled_size)
-        chained = chain_segments(segments, self.chaining, enlargement=max(image.scale, 1.0))
+        rate = None
+        if self.line_score:
+            height, width = image.scaled_size
+            rate = partial(self.line_score.rate, image.pixels[:height, :width], maps[0])
+        chained = chain_segments(segments, self.chaining, enlargement=max(image.scale, 1.0), rate=rate)
         return chained.above(self.min_score).scaled_to(image.source_size)
 
 

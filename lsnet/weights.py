@@ -14,9 +14,10 @@ from safetensors.torch import save as save_tensors
 
 from lsnet.errors import LSNetError
 from lsnet.model import LSNet
-from lsnet.weights_file import HEADER_KEY, read_weights, unusable
+from lsnet.weights_file import HEADER_KEY, LINE_SCORE_PREFIX, read_weights, unusable
 
 if TYPE_CHECKING:
+    from lsnet.lines.score import LineScore
     from lsnet.network_config import LSNetConfig
     from lsnet.weights_file import WeightsCard, WeightsFile
 
@@ -30,13 +31,15 @@ class Weights:
     sha256: str
 
 
-def save_weights(path: str | Path, net: LSNet, card: WeightsCard) -> str:
-    """Write a weights file and return its sha256.
+def save_weights(path: str | Path, net: LSNet, card: WeightsCard, line_score: LineScore | None = None) -> str:
+    """Write a weights file, with the learned line score if there is one, and return its sha256.
 
     Raises:
         LSNetError: The file cannot be written.
     """
     tensors = {name: tensor.contiguous() for name, tensor in net.state_dict().items()}
+    if line_score:
+        tensors |= {name: torch.from_numpy(tensor) for name, tensor in line_score.tensors().items()}
     data = save_tensors(tensors, {HEADER_KEY: card.to_json()})
     try:
         Path(path).write_bytes(data)
@@ -58,7 +61,9 @@ def load_weights(weights: str | Path) -> Weights:
 def load_network(file: WeightsFile) -> LSNet:
     """Return the network of a weights file, for inference. Raises LSNetError unless every tensor fits."""
     try:
-        return _network_of(file.card.network, load_tensors(file.data)).eval()
+        tensors = load_tensors(file.data)
+        own = {name: tensor for name, tensor in tensors.items() if not name.startswith(LINE_SCORE_PREFIX)}
+        return _network_of(file.card.network, own).eval()
     except (SafetensorError, ValueError, LookupError, ArithmeticError, TypeError, RuntimeError) as err:
         raise unusable(file.path, err) from err
 

@@ -20,6 +20,7 @@ from lsnet.pretrained import path_of, read_checksums
 
 FORMAT = 1
 HEADER_KEY = "lsnet"
+LINE_SCORE_PREFIX = "line_score."  # of the tensors of the learned line score
 MAX_FILE_BYTES, MAX_CARD_CHARS = 512 << 20, 1 << 20
 
 

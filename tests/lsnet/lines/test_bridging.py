@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lsnet.bridging import group_stretches
+from lsnet.lines.bridging import group_stretches
 
 
 def straight(start: tuple[float, float], end: tuple[float, float], count: int = 12) -> np.ndarray:

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lsnet.chaining import ChainingConfig, chain_segments
 from lsnet.grid import POSITIVE, GridCoder
+from lsnet.lines.chaining import ChainingConfig, chain_segments
 from lsnet.segments import Lines, Segments
 
 SIZE = (256, 384)

@@ -1,0 +1,173 @@
+"""Chain the overlapping segments of the four grids into polylines.
+
+Two segments are linked when they have nearly the same direction, lie on each other's line, and touch or
+nearly touch. Linked segments form a chain; its polyline is the score-weighted mean of the segments along it.
+The odds of a line are the odds of its segments times its length, each cell along it being further evidence,
+unless a learned score (`lsnet.lines.score`) rates it.
+
+All chains of an image are processed at once, in arrays with the number of the chain beside each value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lsnet.geometry import angle_between, length, orientation
+from lsnet.lines.bridging import group_stretches
+from lsnet.lines.fitting import Chains, fit_chains
+from lsnet.lines.proposals import Proposals
+from lsnet.segments import Detections, Lines, Segments
+
+if TYPE_CHECKING:
+    from lsnet.arrays import Floats, Floats32, Indices
+    from lsnet.lines.fitting import ChainFits
+    from lsnet.lines.proposals import Rate
+
+MIN_OFFSET_PX = 0.7  # a smaller link tolerance would cut lines at random
+TIGHTENING = 0.6  # factor of the link tolerance when a chain is split
+REFERENCE_LENGTHS_PX = (240.0, 1000.0)  # bounds of the reference length, whatever the image
+MIN_DOUBT = 0.02  # keeps the odds of segments finite
+
+
+@dataclass(frozen=True, slots=True)
+class ChainingConfig:
+    """What counts as one line. Lengths are in pixels of the network's input image."""
+
+    min_segment_score: float = 0.3  # weaker segments are not linked, whatever the user's threshold
+    max_angle_deg: float = 12.0  # between linked segments
+    max_offset_px: float = 2.0  # of each segment's midpoint from the other's line
+    max_gap_px: float = 20.0  # along the line, between linked segments
+    max_bridge_px: float = 60.0  # along the line, between chains that continue each other
+    max_spread_px: float = 1.5  # of a chain's segments about its polyline; a wider chain is split
+    min_length_px: float = 40.0  # shorter chains are dropped
+    reference_length: float = 1.35  # in shorter sides of the image: where a line's odds are its segments'
+    full_support: float = 2.0  # cells per stretch (of at most four) for all of a line's length to count
+    step_px: float = 16.0  # between points of a polyline, before simplification
+    flatness_px: float = 0.4  # largest deviation by simplification
+
+
+def chain_segments(
+    segments: Segments, config: ChainingConfig, enlargement: float = 1.0, rate: Rate | None = None
+) -> Detections:
+    """Merge the segments of one image into lines.
+
+    Args:
+        segments: What the cells report.
+        config: What counts as one line.
+        enlargement: Factor by which the image was enlarged before detection.
+        rate: Returns the scores of proposals. Default: the odds of their segments times their length.
+
+    Returns:
+        The given segments, the lines with the highest score first, and the line of each segment.
+    """
+    strong = np.flatnonzero(segments.scores >= config.min_segment_score)
+    proposals, members = propose_lines(segments.above(config.min_segment_score), enlargement, config)
+    scores = proposals.prior if rate is None or not len(proposals) else rate(proposals)
+    order = np.argsort(-scores, kind="stable")
+    line_of = np.full(len(segments), -1, np.int32)
+    for k, i in enumerate(order):
+        line_of[strong[members[i]]] = k
+    points = tuple(_simplified(proposals.polylines[i], config) for i in order)
+    lines = Lines(points, scores[order].astype(np.float32), segments.image_size)
+    return Detections(segments, lines, line_of)
+
+
+def propose_lines(
+    segments: Segments, enlargement: float, config: ChainingConfig
+) -> tuple[Proposals, list[Indices]]:
+    """Chain segments; return the proposals, and the segments of each."""
+    ends, scores = segments.endpoints.astype(float), segments.scores.astype(float)
+    chains = _chain(ends, scores, config)
+    members = [chains.members_of(k) for k in range(len(chains.first) - 1)]
+    if not members:
+        none, size = np.zeros(0), segments.image_size
+        return Proposals([], none, none, none, none, none, np.zeros((0, 3)), size, enlargement), []
+    fit = fit_chains(ends[chains.members], scores[chains.members], chains, config.step_px)
+    proposals = Proposals(
+        polylines=[fit.polyline(k) for k in range(len(members))],
+        prior=_prior(fit, min(segments.image_size) / enlargement, config),
+        mean_score=fit.mean_score,
+        support=fit.support,
+        extent_px=fit.extent_px,
+        spread_px=fit.spread_px,
+        quantiles=np.array([np.quantile(scores[own], (0.1, 0.5, 0.9)) for own in members]),
+        image_size=segments.image_size,
+        enlargement=enlargement,
+    )
+    return proposals, members
+
+
+def _prior(fit: ChainFits, shorter_side_px: float, config: ChainingConfig) -> Floats:
+    """(C,) score of each line: odds of its segments times its supported length over the reference.
+
+    A large view has more places for false lines, so the length that a line needs grows with the image.
+    """
+    reference_px = np.clip(config.reference_length * shorter_side_px, *REFERENCE_LENGTHS_PX)
+    mean_score = np.clip(fit.mean_score, MIN_DOUBT, 1 - MIN_DOUBT)
+    supported_px = fit.extent_px * np.minimum(fit.support / config.full_support, 1)
+    odds = mean_score / (1 - mean_score) * supported_px / reference_px
+    out: Floats = odds / (1 + odds)
+    return out
+
+
+def _chain(ends: Floats, scores: Floats, config: ChainingConfig) -> Chains:
+    """Chain segments (N, 4) with scores (N,).
+
+    Cables a few pixels apart can end up in one chain. Its segments then lie on both sides of its
+    polyline, and they are linked again with a smaller tolerance.
+    """
+    parts: list[Indices] = []
+    polylines: list[Floats] = []
+    pairs, offsets = np.zeros((0, 2), np.intp), np.zeros(0)
+    if len(ends):
+        pairs, offsets = _link(ends, config)
+    left, tolerance_px = np.arange(len(ends)), config.max_offset_px
+    while len(left):
+        chains = Chains.connected(ends, pairs[offsets <= tolerance_px], left, config.min_length_px)
+        if not len(chains.members):
+            break
+        fit = fit_chains(ends[chains.members], scores[chains.members], chains, config.step_px)
+        is_wide = (fit.spread_px > config.max_spread_px) & (tolerance_px > MIN_OFFSET_PX)
+        for k in np.flatnonzero(~is_wide & (fit.extent_px >= config.min_length_px)):
+            parts.append(chains.members_of(int(k)))
+            polylines.append(fit.polyline(int(k)))
+        left = chains.members[is_wide[chains.number]]
+        is_left = np.isin(pairs, left).all(axis=1)
+        pairs, offsets = pairs[is_left], offsets[is_left]
+        tolerance_px *= TIGHTENING
+    return Chains.joined(parts, group_stretches(polylines, config.max_bridge_px))
+
+
+def _simplified(polyline: Floats, config: ChainingConfig) -> Floats32:
+    points = polyline.astype(np.float32)[:, None]
+    return np.asarray(cv2.approxPolyDP(points, config.flatness_px, closed=False)[:, 0], np.float32)
+
+
+def _link(ends: Floats, config: ChainingConfig) -> tuple[Indices, Floats]:
+    """Find the pairs of segments (N, 4) that may be linked.
+
+    Returns:
+        (P, 2) pairs of segments, and (P,) the larger distance of one's midpoint from the other's line, px.
+    """
+    middles, lengths = (ends[:, :2] + ends[:, 2:]) / 2, np.maximum(length(ends), 1e-9)
+    pairs = cKDTree(middles).query_pairs(lengths.max() + config.max_gap_px, output_type="ndarray")
+    angles = orientation(ends)
+    is_parallel = angle_between(angles[pairs[:, 0]], angles[pairs[:, 1]]) <= np.radians(config.max_angle_deg)
+    pairs = pairs[is_parallel]
+    i, j = pairs[:, 0], pairs[:, 1]
+    directions = (ends[:, 2:] - ends[:, :2]) / lengths[:, None]
+    between = middles[j] - middles[i]
+    offsets = np.maximum(np.abs(_cross(directions[i], between)), np.abs(_cross(directions[j], between)))
+    gaps = np.abs((directions[i] * between).sum(1)) - (lengths[i] + lengths[j]) / 2
+    is_linked = (offsets <= config.max_offset_px) & (gaps <= config.max_gap_px)
+    return pairs[is_linked], offsets[is_linked]
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    out: Floats = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return out

@@ -1,0 +1,43 @@
+"""Proposals: lines before they are scored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lsnet.arrays import Floats
+
+    Rate = Callable[["Proposals"], Floats]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """C polylines of one image with what their segments say about them.
+
+    Attributes:
+        polylines: (K, 2) points x, y of each, pixels.
+        prior: (C,) score by the odds of the segments and the length alone.
+        mean_score: (C,) mean score of the segments.
+        support: (C,) segments over each stretch.
+        extent_px: (C,) length.
+        spread_px: (C,) of the segments about the polyline.
+        quantiles: (C, 3) 0.1, 0.5 and 0.9 quantile of the scores of the segments.
+        image_size: (height, width) in pixels.
+        enlargement: Factor by which the image was enlarged before detection.
+    """
+
+    polylines: list[Floats]
+    prior: Floats
+    mean_score: Floats
+    support: Floats
+    extent_px: Floats
+    spread_px: Floats
+    quantiles: Floats
+    image_size: tuple[int, int]
+    enlargement: float
+
+    def __len__(self) -> int:
+        return len(self.polylines)

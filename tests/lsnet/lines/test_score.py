@@ -1,0 +1,112 @@
+"""The learned line score: its features, its tensors in a weights file, and wires against kerbs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+from nets import TINY, save_tiny, tiny_net
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+
+from lsnet import Detector, LSNetError, load_weights
+from lsnet.lines.features import FEATURES, features_of
+from lsnet.lines.proposals import Proposals
+from lsnet.lines.score import LineScore, read_line_score
+from lsnet.weights import save_weights
+from lsnet.weights_file import WeightsCard, read_weights
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SIZE = (256, 320)
+WIRES = ([[10.0, 40.0], [300.0, 90.0]], [[60.0, 200.0], [200.0, 150.0], [310.0, 130.0]])
+
+
+def a_score(seed: int = 0) -> LineScore:
+    rng = np.random.default_rng(seed)
+    draw = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
+    return LineScore(
+        draw(2, 1, FEATURES),
+        np.ones((2, 1, FEATURES), np.float32),
+        (draw(2, FEATURES, 8), draw(2, 8, 4), draw(2, 4, 1)),
+        (draw(2, 1, 8), draw(2, 1, 4), draw(2, 1, 1)),
+        np.array([0.1, 0.2, 0.7, 0.0], np.float32),
+    )
+
+
+def proposals_of(polylines: tuple[list[list[float]], ...]) -> Proposals:
+    lines = [np.array(points) for points in polylines]
+    extent = np.array([np.hypot(*np.diff(line, axis=0).T).sum() for line in lines])
+    ones = np.ones(len(lines))
+    return Proposals(
+        lines, 0.5 * ones, 0.6 * ones, 3 * ones, extent, 0.5 * ones, 0.6 * np.ones((len(lines), 3)), SIZE, 1.0
+    )
+
+
+def textured(seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).uniform(60, 160, (*SIZE, 3))
+    return cv2.GaussianBlur(noise, (0, 0), 2).astype(np.uint8)
+
+
+def test_features_do_not_depend_on_the_direction_or_the_side() -> None:
+    image = cv2.line(textured(), (10, 40), (300, 90), (240, 240, 240), 2)
+    rows, columns = np.mgrid[: SIZE[0] // 16 - 1, : SIZE[1] // 16 - 1]
+    cells = (0.3 + 0.02 * rows + 0.01 * columns).astype(np.float32)
+    found = features_of(image, cells, proposals_of(WIRES))
+    assert found.shape == (2, FEATURES)
+    backwards = features_of(image, cells, proposals_of(tuple(line[::-1] for line in WIRES)))
+    np.testing.assert_allclose(backwards, found, atol=0.03)
+    mirrored = tuple([[SIZE[1] - x, y] for x, y in line] for line in WIRES)
+    flipped = np.ascontiguousarray(image[:, ::-1]), np.ascontiguousarray(cells[:, ::-1])
+    np.testing.assert_allclose(features_of(*flipped, proposals_of(mirrored)), found, atol=0.06)
+
+
+def test_tensors_round_trip_beside_the_network(tmp_path: Path) -> None:
+    path, score = tmp_path / "w.safetensors", a_score()
+    save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5), score)
+    assert set(load_weights(path).net.state_dict()) == set(tiny_net().state_dict())
+    loaded = read_line_score(read_weights(path))
+    assert loaded is not None
+    for name, tensor in score.tensors().items():
+        np.testing.assert_array_equal(loaded.tensors()[name], tensor)
+
+
+def test_weights_without_a_line_score_have_none(tmp_path: Path) -> None:
+    assert read_line_score(read_weights(save_tiny(tmp_path / "w.safetensors"))) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("blend", np.zeros(3, np.float32)),
+        ("1.weight", np.zeros((2, 8, 5), np.float32)),
+        ("mean", np.full((2, 1, FEATURES), np.nan, np.float32)),
+        ("other", np.zeros(1, np.float32)),
+    ],
+)
+def test_tensors_that_do_not_fit_are_refused(tmp_path: Path, name: str, value: np.ndarray) -> None:
+    path = tmp_path / "w.safetensors"
+    save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5), a_score())
+    with safe_open(path, framework="np") as opened:
+        metadata = opened.metadata()
+    save_file(load_file(path) | {f"line_score.{name}": value}, path, metadata)
+    with pytest.raises(LSNetError, match=r"not weights that this version can use .*line score"):
+        Detector.load(path, runtime="torch")
+
+
+def test_the_shipped_score_prefers_a_wire_to_a_kerb() -> None:
+    """Both have the same segments; the wire has one ground on both sides, the kerb two."""
+    score = read_line_score(read_weights("fast"))
+    assert score is not None
+    ground, line = textured(), ((0, 60), (319, 110))
+    wire = cv2.line(ground.copy(), *line, (30, 30, 30), 3, cv2.LINE_AA)
+    kerb = ground.copy()
+    cv2.fillPoly(kerb, [np.array([*line, (319, 255), (0, 255)])], (190, 190, 190))
+    cv2.line(kerb, *line, (110, 110, 110), 4, cv2.LINE_AA)
+    cells = np.full((SIZE[0] // 16 - 1, SIZE[1] // 16 - 1), 0.1, np.float32)
+    proposal = proposals_of(([[0.0, 60.5], [319.0, 110.5]],))
+    on_wire, on_kerb = (score.rate(image, cells, proposal)[0] for image in (wire, kerb))
+    assert on_wire > on_kerb + 0.1

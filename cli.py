@@ -6,7 +6,6 @@ import os
 import sys
 from importlib.metadata import version
 from io import TextIOWrapper
-from itertools import pairwise
 from typing import Annotated
 
 import typer
@@ -15,7 +14,6 @@ from inspect_pipeline.commands import (
     anomalies,
     batch,
     check,
-    compare,
     detect,
     doctor,
     export,
@@ -52,7 +50,6 @@ app.command()(process.process)
 app.command()(batch.batch)
 app.command()(query.query)
 app.command()(check.check)
-app.command()(compare.compare)
 app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)
@@ -73,9 +70,6 @@ app.add_typer(model.app, name="model")
 app.add_typer(quarantine.app, name="quarantine")
 
 
-_NAMING = ("-o", "--output", "--store", "--draw", "--map", "--metrics")
-
-
 def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"lsnet-pipe {version('lsnet-pipe')}")
@@ -89,11 +83,7 @@ def _before_command(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    for option, value in pairwise(sys.argv[1:]):
-        if (
-            option in _NAMING and not value
-        ):  # as an unset variable of a shell; a Path would be the current folder
-            raise typer.BadParameter(f"{option} is given an empty name")
+    pass
 
 
 def main() -> None:

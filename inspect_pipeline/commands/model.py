@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands import model_compare, model_eval, model_figure
+from inspect_pipeline.commands import model_compare, model_eval, model_figure, model_lines
 from inspect_pipeline.commands.model_compare import Device, DeviceOption
 from inspect_pipeline.commands.options import BackgroundOption, RunOption, RuntimeOption, WeightsOption
 from inspect_pipeline.commands.progress import progress_bar
@@ -57,10 +57,7 @@ def train(
     ] = Recipe.DEFAULT,
     preset: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Network: paper, fast, or a rival as wd-dcnn-gnfl. Default: fast, or that of the recipe.",
-        ),
+        typer.Option(metavar="NAME", help="Network: paper, fast, or a rival as wd-dcnn-gnfl. Default: fast."),
     ] = None,
     network: Annotated[
         list[str] | None,
@@ -263,6 +260,7 @@ app.command()(train)
 app.command()(export)
 app.command()(convert)
 app.command(name="eval")(model_eval.evaluate)
+app.command()(model_lines.lines)
 app.command()(model_compare.compare)
 app.command()(model_compare.ablate)
 app.command()(synth)

@@ -87,6 +87,20 @@ class BackgroundPool:
         photos = self._folders[rng.choice(len(self._folders), p=self._shares)]
         return cut_out(photos[rng.integers(len(photos))], rng, size)
 
+    def photograph(self, rng: Rng, size: int) -> ImageArray:
+        """Return a square of a photograph near its own resolution, or a drawn ground if there is none."""
+        if not self._folders:
+            return plain(rng, size).clip(0, 255).astype(np.uint8)
+        photos = self._folders[rng.choice(len(self._folders), p=self._shares)]
+        photo = photos[rng.integers(len(photos))]
+        scale = float(np.exp(rng.uniform(np.log(0.45), np.log(1.4))))
+        side = min(int(size / scale), *photo.shape[:2])
+        y, x = rng.integers(photo.shape[0] - side + 1), rng.integers(photo.shape[1] - side + 1)
+        square = np.rot90(photo[y : y + side, x : x + side], int(rng.integers(4)))
+        size = min(size, int(side * 1.5))
+        how = cv2.INTER_AREA if side > size else cv2.INTER_CUBIC
+        return np.asarray(cv2.resize(np.ascontiguousarray(square), (size, size), interpolation=how), np.uint8)
+
 
 def cut_out(photo: ImageArray, rng: Rng, size: int) -> FloatImage:
     """Crop a random square of a photograph at a random scale, with random quarter turns and mirroring."""

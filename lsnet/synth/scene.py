@@ -110,6 +110,11 @@ def _finish(image: Image, rng: Rng, busyness: float) -> Finish:
     )
 
 
+def finish_for(image: Image, rng: Rng) -> Finish:
+    """Return a random appearance of wires over an image."""
+    return _finish(image, rng, _busyness(image))
+
+
 def _under_the_sky(rng: Rng) -> Finish:
     """Return smooth grey, with one side bluish by the light of the sky and the other dark."""
     rgb = rng.uniform(90, 190) * np.array([rng.uniform(0.85, 1), 1.0, rng.uniform(1, 1.25)])

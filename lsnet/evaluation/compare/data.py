@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
+from lsnet.errors import LSNetError
 from lsnet.files import make_folder
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import Sample, SyntheticScenes
@@ -45,10 +46,15 @@ def draw_set(
 
     Raises:
         LSNetError: A background folder (DIR or DIR:FIRST) has no images, or the set's folder cannot be
-            created.
+            created or has too few images.
     """
     make_folder(folder)
-    if (folder / LINES_FILE).exists():  # written last
+    if (folder / LINES_FILE).exists():
+        existing = len(np.load(folder / IMAGES_FILE, mmap_mode="r"))
+        if existing < count:
+            raise LSNetError(
+                f"{folder}: holds {existing} synthetic images, not {count}; give another run folder"
+            )
         return
     scenes = SyntheticScenes(
         BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds]), DRAWN_PX, seed

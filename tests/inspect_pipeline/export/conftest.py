@@ -19,11 +19,14 @@ ALWAYS_DARK = "[frames]\ndark_below_luma = 250.0\noverexposed_above_luma = 255.0
 
 
 class TwoLines(FakeDetector):
-    """Finds the same two lines in some of the images, by their content."""
+    """Finds the same two lines in all but three images."""
+
+    n_images = 0
 
     def _detect(self, image: np.ndarray) -> Detections:
         size = image.shape[:2]
-        if int(image.sum()) % 2:
+        self.n_images += 1
+        if self.n_images < 4:
             return Detections(Segments.empty(size), Lines.empty(size))
         lines = ([[2, 3], [60, 40.5], [150, 90]], [[10, 110], [12.25, 20]])
         points = [np.array(line, np.float32) for line in lines]

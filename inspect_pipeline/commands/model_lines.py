@@ -1,0 +1,36 @@
+"""`lsnet-pipe model lines`: train the line score of weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inspect_pipeline.commands.options import BackgroundOption, WeightsOption
+from inspect_pipeline.commands.progress import progress_bar
+
+
+def lines(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .safetensors file to write.")],
+    background: BackgroundOption = None,
+    weights: WeightsOption = "fast",
+    scenes: Annotated[int, typer.Option(min=1, metavar="N", help="Number of scenes to draw.")] = 6000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the scenes and the initial weights.")] = 0,
+) -> None:
+    """Train what a line is worth.
+
+    The network of the weights proposes lines in drawn scenes and in photographs without wires; two small
+    networks learn which of them are wires. The network itself stays as it is.
+
+    \b
+    Examples:
+      lsnet-pipe model lines --background photos:500 -o better.safetensors
+    """
+    from lsnet.training.line_score import train_line_score
+
+    with progress_bar("lines", scenes) as advance:
+        sha256 = train_line_score(
+            weights, background or (), output, scenes=scenes, seed=seed, on_scene=advance
+        )
+    typer.echo(f"{output}: sha256 {sha256}; next: lsnet-pipe detect --weights {output}")

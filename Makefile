@@ -41,7 +41,7 @@ demo: $(INSTALLED)
 	$(LSNET_PIPE) query "SELECT n_frames, n_bad_frames, n_lines, duration_s, frame_coverage FROM flight_summary" $(DEMO_STORE)
 	$(LSNET_PIPE) query "SELECT frame_idx, n_lines, sharpness::INTEGER AS sharpness, infer_ms::INTEGER AS infer_ms FROM frames ORDER BY n_lines DESC, frame_idx LIMIT 5" $(DEMO_STORE)
 	$(LSNET_PIPE) query "SELECT floor(angle_deg / 30)::INTEGER * 30 AS angle_from_deg, count(*) AS n_lines, avg(length_px)::INTEGER AS mean_length_px FROM lines GROUP BY ALL ORDER BY ALL" $(DEMO_STORE)
-	$(LSNET_PIPE) overlay $$($(LSNET_PIPE) query --format csv "SELECT flight_id FROM flights" $(DEMO_STORE) | tail -n 1) -o demo/overlay.png $(DEMO_STORE)
+	$(LSNET_PIPE) overlay last -o demo/overlay.png $(DEMO_STORE)
 	@echo
 	@echo "recording      demo/demo.mcap, its truth demo/demo.truth.json"
 	@echo "annotated copy $$(ls demo/store/flights/*/annotated.mcap); in Lichtblick or Foxglove: $(LSNET_PIPE) view last $(DEMO_STORE)"
@@ -78,20 +78,27 @@ reliability: $(INSTALLED)
 reliability-short: $(INSTALLED)
 	$(BIN)/python -m pytest -q -n auto -m 'reliability and not slow'
 
+# RIVAL=M-LSD_512_tiny_fp32.tflite of github.com/navervision/mlsd
 bench: $(INSTALLED)
+	$(BIN)/python benchmarks/bench_speed.py $(if $(RIVAL),--rival $(RIVAL))
+	PYTHONPATH=. $(BIN)/python benchmarks/bench_process.py
 	$(BIN)/python benchmarks/bench_help.py
 	$(BIN)/python benchmarks/bench_encode.py
 	$(BIN)/python benchmarks/bench_append.py
 	$(BIN)/python benchmarks/bench_store.py
+	$(BIN)/python benchmarks/bench_report.py
 
 bench-tracks: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_tracks.py
 
-# SEEDS=3 DRAWN=1 for a look
+# MATRIX=full for harder flights; SEEDS=2 DRAWN=0 CLEAN=6 FLIGHTS=0 for a look of some minutes
 SEEDS ?= 20
 DRAWN ?= 2
+CLEAN ?= 60
+MATRIX ?= basic
+FLIGHTS ?= 1000
 bench-inspection: $(INSTALLED)
-	$(BIN)/python benchmarks/bench_inspection.py --seeds $(SEEDS) --drawn $(DRAWN)
+	$(BIN)/python benchmarks/bench_inspection.py --matrix $(MATRIX) --seeds $(SEEDS) --drawn $(DRAWN) --clean $(CLEAN) --flights $(FLIGHTS)
 
 clean:
 	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache

@@ -6,6 +6,7 @@ import os
 import sys
 from importlib.metadata import version
 from io import TextIOWrapper
+from itertools import pairwise
 from typing import Annotated
 
 import typer
@@ -14,6 +15,7 @@ from inspect_pipeline.commands import (
     anomalies,
     batch,
     check,
+    compare,
     detect,
     doctor,
     export,
@@ -50,6 +52,7 @@ app.command()(process.process)
 app.command()(batch.batch)
 app.command()(query.query)
 app.command()(check.check)
+app.command()(compare.compare)
 app.command()(info.info)
 app.command()(detect.detect)
 app.command()(overlay.overlay)
@@ -70,6 +73,9 @@ app.add_typer(model.app, name="model")
 app.add_typer(quarantine.app, name="quarantine")
 
 
+_NAMING = ("-o", "--output", "--store", "--draw", "--map", "--metrics")
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"lsnet-pipe {version('lsnet-pipe')}")
@@ -83,7 +89,11 @@ def _before_command(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    pass
+    for option, value in pairwise(sys.argv[1:]):
+        if (
+            option in _NAMING and not value
+        ):  # as an unset variable of a shell; a Path would be the current folder
+            raise typer.BadParameter(f"{option} is given an empty name")
 
 
 def main() -> None:

@@ -1,17 +1,19 @@
-"""Compare the index of a simulated flight with its ground truth: hits and errors of coverage."""
+"""What the index says of a simulated flight against its truth: planted faults, conductors, coverage."""
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from inspect_pipeline.simulation.options import FaultKind
 
 if TYPE_CHECKING:
     from inspect_pipeline.simulation.plan import FlightPlan
-    from inspect_pipeline.simulation.records import FlightTruth
+    from inspect_pipeline.simulation.records import FaultTruth, FlightTruth
 
 KINDS = {
     FaultKind.MISSING_CONDUCTOR: "conductor_count",
@@ -31,11 +33,12 @@ KINDS = {
 ABOUT_CONDUCTORS = [kind for fault, kind in KINDS.items() if fault in tuple(FaultKind)[:6]]
 COVERAGES = ("frame", "detection", "span", "corridor")
 _MIN_IOU = 0.5
+_NOMINAL_M = 11.7  # height of conductors in the spans file
 _PATH_STEP_M = 0.05
 
 
 def match(truth: FlightTruth, anomalies: list[dict[str, Any]]) -> tuple[int, Counter[str]]:
-    """Return how many planted faults were found, and the other findings by kind."""
+    """How many planted faults were found, and what else was, by kind."""
     hits, others = 0, list(anomalies)
     for fault in truth.faults:
         same = [one for one in others if one["kind"] == KINDS[fault.kind]]
@@ -47,14 +50,14 @@ def match(truth: FlightTruth, anomalies: list[dict[str, Any]]) -> tuple[int, Cou
 
 
 def _overlap(found: dict[str, Any], start_ns: int, end_ns: int) -> float:
-    """Return the intersection over union of two intervals."""
+    """Intersection over union of two intervals."""
     common = min(found["end_ns"], end_ns) - max(found["start_ns"], start_ns)
     whole = max(found["end_ns"], end_ns) - min(found["start_ns"], start_ns)
     return max(0, common) / whole if whole else 1.0
 
 
 def true_coverage(plan: FlightPlan, truth: FlightTruth) -> dict[tuple[str, str | None], float]:
-    """Return the four kinds of coverage by the ground truth, as shares."""
+    """What the four kinds of coverage are by the truth, in shares."""
     recorded = [frame for frame in truth.frames if not frame.dropped]
     good = [frame for frame in recorded if frame.quality == "ok"]
     seen = [frame for frame in good if any(line.span_id for line in frame.lines)]
@@ -67,7 +70,7 @@ def true_coverage(plan: FlightPlan, truth: FlightTruth) -> dict[tuple[str, str |
 
 
 def _true_corridor(plan: FlightPlan, truth: FlightTruth) -> float:
-    """Return the share of the ground below the path that good frames with lines show."""
+    """The share of the ground below the path that good frames with lines show, every few centimetres."""
     shots = [shot for shot in plan.shots() if not shot.is_dropped]
     good = [frame.quality == "ok" and bool(frame.lines) for frame in truth.frames if not frame.dropped]
     path = np.array([plan.pose(shot.time_ns).position[:2] for shot in shots])
@@ -88,7 +91,7 @@ def _true_corridor(plan: FlightPlan, truth: FlightTruth) -> float:
 def coverage_errors(
     rows: list[dict[str, Any]], wanted: dict[tuple[str, str | None], float]
 ) -> dict[str, list[float]]:
-    """Return errors of shares in percentage points by kind; spans that are not near have 0."""
+    """By kind, how far shares are from the truth, in percentage points; spans that are not near have 0."""
     found = {
         (row["kind"], row["span_id"]): row["share"]
         for row in rows
@@ -99,3 +102,66 @@ def coverage_errors(
         if np.isfinite(share):
             errors[kind].append(100 * abs((found.get((kind, span_id)) or 0.0) - share))
     return dict(errors)
+
+
+@dataclass(frozen=True)
+class UnknownCoverage:
+    """Metres of spans near a flight, all and unknown, and how many spans are unknown but shown as 0."""
+
+    total_m: float
+    unknown_m: float
+    shown_as_zero: int
+
+
+def unknown_coverage(rows: list[dict[str, Any]]) -> UnknownCoverage:
+    """How much of the spans near a flight is said to be unknown."""
+    spans = [row for row in rows if row["kind"] == "span" and row["total"] is not None]
+    return UnknownCoverage(
+        total_m=sum(row["total"] for row in spans),
+        unknown_m=sum(row["unknown"] for row in spans),
+        shown_as_zero=sum(row["unknown"] >= row["total"] and row["share"] is not None for row in spans),
+    )
+
+
+def is_judged(plan: FlightPlan, fault: FaultTruth, rows: dict[str, Any]) -> bool:
+    """Whether the index says that it judged what a fault is about: half of the span, and of its conductor.
+
+    Rules about frames always judge.
+    """
+    kind = KINDS[fault.kind]
+    if fault.span_id is None or kind == "crossing_line":
+        return True
+    own = [row for row in rows["judged"] if (row["span_id"], row["kind"]) == (fault.span_id, kind)]
+    if not own or own[0]["judged_m"] < own[0]["length_m"] / 2:
+        return False
+    if kind not in {"conductor_count", "conductor_lost", "conductor_gap"}:
+        return True
+    matched = _match_conductors(plan, [row for row in rows["conductors"] if row["span_id"] == fault.span_id])
+    row = matched.get(fault.conductor_ids[0])
+    return row is not None and row["judged_m"] >= own[0]["judged_m"] / 2
+
+
+def _match_conductors(plan: FlightPlan, rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """The rows of a span by the conductor of the truth that each is nearest to, errors of positions apart."""
+    if not rows:
+        return {}
+    true = np.array([(c.points[0, 1], c.points[:, 2].max()) for c in plan.line.conductors])
+    found = np.array([(row["across_m"], row["raised_m"]) for row in rows])
+    apart = true[:, np.newaxis] - true.mean(axis=0) - (found - found.mean(axis=0))
+    pairs = linear_sum_assignment(np.linalg.norm(apart, axis=2))
+    return {plan.line.conductors[i].conductor_id: rows[j] for i, j in zip(*pairs, strict=True)}
+
+
+def conductor_errors(plan: FlightPlan, rows: list[dict[str, Any]]) -> dict[str, list[float]]:
+    """Errors in metres of heights, relative to the structures, and of sags, of healthy conductors."""
+    faulty = {name for fault in plan.planted for name in fault.conductor_ids}
+    errors: dict[str, list[float]] = {"height_m": [], "sag_m": []}
+    for span_id in {row["span_id"] for row in rows}:
+        own = [row for row in rows if row["span_id"] == span_id]
+        for name, row in _match_conductors(plan, own).items():
+            if row["sag_m"] is not None and name not in faulty:
+                heights = plan.line[name].points[:, 2]
+                top = float(heights.max())
+                errors["height_m"].append(abs(row["raised_m"] + _NOMINAL_M - top))
+                errors["sag_m"].append(abs(row["sag_m"] - (top - float(heights.min()))))
+    return errors

@@ -56,7 +56,7 @@ class InspectError(Exception):
 
 def printable(text: str) -> str:
     """Return the text with a ? for each control character: names in damaged files can hold anything."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def shorten(text: str) -> str:

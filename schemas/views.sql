@@ -208,3 +208,56 @@ SELECT a.*,
        nullif(r.reviewed_by, '') AS reviewed_by
 FROM anomalies AS a
 LEFT JOIN reviews AS r USING (anomaly_id);
+
+-- What flights say of spans, to be compared between them: numbers of conductors and of anomalies where the rule
+-- judged at least half of the span, and the sag of each conductor.
+CREATE OR REPLACE VIEW span_states AS
+WITH counted AS (
+    SELECT flight_id,
+           span_id,
+           count(DISTINCT conductor)                                                     AS n_conductors,
+           count(DISTINCT conductor) FILTER (present_m >= judged_m / 2)                  AS n_present
+    FROM conductors
+    GROUP BY flight_id, span_id
+),
+judged AS (
+    SELECT flight_id, span_id, kind
+    FROM span_judged
+    WHERE judged_m >= length_m / 2
+),
+crossings AS (
+    SELECT a.anomaly_id,
+           a.flight_id,
+           arg_min(b.span_id, pow(a.lat_deg - b.lat_deg, 2) + pow(a.lon_deg - b.lon_deg, 2)) AS span_id
+    FROM anomalies AS a
+    JOIN coverage_bins AS b ON a.flight_id = b.flight_id AND b.kind = 'span' AND b.n_detected > 0
+    WHERE a.kind = 'crossing_line'
+    GROUP BY a.anomaly_id, a.flight_id
+),
+states AS (
+    SELECT j.flight_id, j.span_id, 'conductors' AS subject, NULL::INTEGER AS conductor, n_present::DOUBLE AS value,
+           NULL::DOUBLE AS sd
+    FROM judged AS j
+    JOIN counted USING (flight_id, span_id)
+    WHERE j.kind = 'conductor_count'
+    UNION ALL
+    SELECT flight_id, span_id, 'sag_m', conductor, avg(sag_m), max(sag_sd_m)
+    FROM conductors
+    WHERE sag_m IS NOT NULL
+    GROUP BY flight_id, span_id, conductor
+    UNION ALL
+    SELECT j.flight_id, j.span_id, j.kind, NULL, count(a.anomaly_id), NULL
+    FROM judged AS j
+    LEFT JOIN anomalies AS a USING (flight_id, span_id, kind)
+    GROUP BY j.flight_id, j.span_id, j.kind
+    UNION ALL
+    SELECT v.flight_id, v.span_id, 'crossing_line', NULL, count(c.anomaly_id), NULL
+    FROM span_coverage AS v
+    LEFT JOIN crossings AS c USING (flight_id, span_id)
+    WHERE v.covered_m >= v.length_m / 2
+    GROUP BY v.flight_id, v.span_id
+)
+SELECT s.flight_id, f.start_ns, s.span_id, s.subject, s.conductor, s.value, s.sd, c.n_conductors
+FROM states AS s
+JOIN flights AS f USING (flight_id)
+LEFT JOIN counted AS c USING (flight_id, span_id);

@@ -72,3 +72,9 @@ def small_ground() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulate_ground, "TILE_TEXELS", (512, 2048))
         yield
+
+
+@pytest.fixture
+def bare_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Publish without pictures and files for viewers, which take longer than small flights do."""
+    monkeypatch.setattr("inspect_pipeline.publishing._makers", tuple)

@@ -163,10 +163,10 @@ def test_process_goes_on_past_a_recording_that_vanishes(
 def test_names_that_are_no_text(run: Callable[..., Outcome], tmp_path: Path) -> None:
     path = make_recording(tmp_path / os.fsdecode(b"\xff[red].mcap"), shots(1, "/a\x1b[31m"))
     assert run("process", path).exit_code == 0
-    told = run("info", path)
-    assert told.exit_code == 0
-    assert "?[red].mcap" in told.out
-    assert "  /a?[31m: 1 messages" in told.out
+    outcome = run("info", path)
+    assert outcome.exit_code == 0
+    assert "?[red].mcap" in outcome.out
+    assert "  /a?[31m: 1 messages" in outcome.out
     assert run("flights", "list").exit_code == 0
     assert (
         run("process", f"{path}.gone").err
@@ -276,7 +276,7 @@ def test_a_recording_that_is_cut_off(run: Callable[..., Outcome], tmp_path: Path
     assert 0 < result["n_frames"] < 40
     assert "bytes are lost" in result["reason"]
     assert outcome.err == f"warning: a.mcap: recovered: {result['reason']}\n"
-    assert run("process", "a.mcap").err == ""  # told once
+    assert run("process", "a.mcap").err == ""  # reported once
 
 
 def test_what_is_odd_about_a_recording_is_a_warning(run: Callable[..., Outcome], tmp_path: Path) -> None:
@@ -318,7 +318,7 @@ def test_where_annotations_go(
 
 
 @pytest.mark.parametrize("command", ["process", "info"])
-def test_a_missing_recording_is_told_alike(run: Callable[..., Outcome], command: str) -> None:
+def test_a_missing_recording_is_one_line_everywhere(run: Callable[..., Outcome], command: str) -> None:
     outcome = run(command, "none.mcap")
     assert outcome.err == "error: none.mcap: there is no such file; check the name\n"
     assert outcome.exit_code == 1
@@ -408,6 +408,9 @@ def test_errors_of_the_detector_are_one_line(
         ["query", "SELECT 1", "--named", "flights"],
         ["query", "-f", "none.sql"],
         ["query", " "],
+        ["query", "SELECT 1", "-o", ""],
+        ["overlay", "last", "-o", ""],
+        ["flights", "list", "--store", ""],
         ["flights", "list", "--timezone", "Mars/Olympus"],
     ],
 )

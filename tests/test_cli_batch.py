@@ -33,7 +33,7 @@ class Outcome(NamedTuple):
 
 @pytest.fixture
 def run(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path, bare_flights: None
 ) -> Callable[..., Outcome]:
     """Run `lsnet-pipe ...` in this process and a folder of its own, where recordings wait in ./inbox."""
     monkeypatch.chdir(tmp_path)
@@ -84,15 +84,15 @@ def test_a_night_as_people_see_it(run: Callable[..., Outcome], tmp_path: Path) -
 
 
 def test_a_night_as_machines_see_it(run: Callable[..., Outcome], tmp_path: Path) -> None:
-    hook = f"{sys.executable} -c \"import sys; open('told', 'w').write(sys.stdin.read())\""
+    hook = f"{sys.executable} -c \"import sys; open('summary', 'w').write(sys.stdin.read())\""
     options = ("--log-format", "json", "--metrics", "lsnet.prom", "--on-finish", hook, "--tag", "line=L12")
     night = run("batch", "inbox", *options)
     lines = [json.loads(line) for line in night.err.splitlines()]
     assert [line["event"] for line in lines][0::5] == ["batch started", "batch finished"]
     assert {line["level"] for line in lines} == {"info", "warning"}
-    told = json.loads((tmp_path / "told").read_text())
-    assert told == json.loads((tmp_path / "store" / "summary.json").read_text())
-    assert (told["exit_code"], told["tags"], told["counts"]["n_frames"]) == (3, {"line": "L12"}, 5)
+    summary = json.loads((tmp_path / "summary").read_text())
+    assert summary == json.loads((tmp_path / "store" / "summary.json").read_text())
+    assert (summary["exit_code"], summary["tags"], summary["counts"]["n_frames"]) == (3, {"line": "L12"}, 5)
     families = text_string_to_metric_families((tmp_path / "lsnet.prom").read_text())
     values = {(s.name, *s.labels.values()): s.value for family in families for s in family.samples}
     assert values["lsnet_pipe_last_run_exit_code",] == 3
@@ -161,8 +161,8 @@ def test_every_option_can_be_in_the_file(
         """
     )
     named = set(tomllib.loads((tmp_path / "night.toml").read_text()))
-    told = run("batch", "--config", "night.toml")
-    assert (told.exit_code, len(told.out.splitlines())) == (0, 2)
+    outcome = run("batch", "--config", "night.toml")
+    assert (outcome.exit_code, len(outcome.out.splitlines())) == (0, 2)
     (tmp_path / "night.toml").write_text("x = 1")
     known = run("batch", "--config", "night.toml").err.replace("\n", " ").rsplit("known are", 1)[1]
     assert set(known.replace(",", " ").split()) == named
@@ -194,7 +194,7 @@ def test_a_dry_run_writes_nothing(run: Callable[..., Outcome], tmp_path: Path) -
         (("inbox", "--metrics", "no/where.prom"), 1, "no/where.prom: the metrics cannot be written"),
     ],
 )
-def test_what_goes_wrong_is_told(
+def test_what_fails_is_reported(
     run: Callable[..., Outcome],
     monkeypatch: pytest.MonkeyPatch,
     arguments: tuple[str, ...],

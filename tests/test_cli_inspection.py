@@ -215,8 +215,8 @@ def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
     assert len(rows("flights", "list")) == 3
     run("flights", "tag", FAULTY[:9], "line=L12", "pilot=kim")
     run("flights", "tag", FAULTY[:9], "pilot=")
-    (told,) = rows("flights", "show", FAULTY[:9])
-    assert (told["flight_id"], told["tags"], told["n_frames"]) == (FAULTY, {"line": "L12"}, 64)
+    (shown,) = rows("flights", "show", FAULTY[:9])
+    assert (shown["flight_id"], shown["tags"], shown["n_frames"]) == (FAULTY, {"line": "L12"}, 64)
     assert "line=L12" in run("flights", "list")
     assert select(store, "SELECT * FROM flight_tags") == [
         {"flight_id": FAULTY, "key": "line", "value": "L12"}

@@ -51,7 +51,7 @@ def photos(folder: Path, count: int = 2) -> Path:
 TINY_RUN = ("--runtime", "torch", "--weights", "w.safetensors")
 
 
-def test_bench_tells_what_was_measured(tmp_path: Path) -> None:
+def test_bench_reports_what_was_measured(tmp_path: Path) -> None:
     folder = photos(tmp_path / "photos")
     for arguments in ((), ("--images", folder)):
         result = run("bench", "--json", "--size", 32, "--seconds", 0.1, *arguments, *TINY_RUN)
@@ -88,7 +88,7 @@ def test_eval_of_sets_with_and_without_truth(tmp_path: Path) -> None:
     assert "at score 0.60" in text
 
 
-def test_eval_tells_lines_the_papers_scores_and_drawn_images(tmp_path: Path) -> None:
+def test_eval_of_lines_with_the_papers_scores_and_drawn_images(tmp_path: Path) -> None:
     write_masks(tmp_path / "m")
     photos(tmp_path / "plain")
     words = ("eval", "m", "plain", "--use", "lines", "--paper", "--synthetic", 2, "--json", *TINY_RUN)

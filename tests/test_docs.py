@@ -104,8 +104,8 @@ def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path, fla
 def test_the_query_of_the_readme(run: Callable[..., str]) -> None:
     """The columns in the shown output are those the query gives; how many rows and which, the flight says."""
     sql, shown = re.search(r"```sql\n([^`]*)```\n\n```\n(.*?)```", README, re.DOTALL).groups()
-    told = run("query", sql)
-    assert told.splitlines()[0].split() == shown.splitlines()[0].split()
+    printed = run("query", sql)
+    assert printed.splitlines()[0].split() == shown.splitlines()[0].split()
     assert f'"{sql.strip()}"' in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 

@@ -39,24 +39,24 @@ COMMANDS = (
 )
 
 
-# One process for all: what one of them loads stays loaded, and is told with each that follows.
+# One process for all: imports of one command remain for those that follow, and are reported with them.
 PROGRAM = f"""
 import contextlib, io, json, sys
 import cli
-told = {{}}
+reports = {{}}
 for command in {COMMANDS!r}:
     sys.argv = ["lsnet-pipe", *command.split(), "--help"]
     with contextlib.redirect_stdout(io.StringIO()) as out:
         try:
             cli.main()
         except SystemExit as ended:
-            told[command] = ended.code, out.getvalue(), [name for name in {HEAVY!r} if name in sys.modules]
-print(json.dumps(told))
+            reports[command] = ended.code, out.getvalue(), [name for name in {HEAVY!r} if name in sys.modules]
+print(json.dumps(reports))
 """
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[str, tuple[int, str, list[str]]]:
+def reports() -> dict[str, tuple[int, str, list[str]]]:
     """Exit code, help and heavy modules of each command."""
     child = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
     assert child.stderr == ""
@@ -64,8 +64,8 @@ def told() -> dict[str, tuple[int, str, list[str]]]:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_loads_nothing_heavy(command: str, told: dict[str, tuple[int, str, list[str]]]) -> None:
-    exit_code, text, heavy = told[command]
+def test_help_loads_nothing_heavy(command: str, reports: dict[str, tuple[int, str, list[str]]]) -> None:
+    exit_code, text, heavy = reports[command]
     assert (exit_code, heavy) == (0, [])
     assert re.search(rf"^(  Example: |    )lsnet-pipe {command}", text, re.MULTILINE)
 

@@ -27,6 +27,7 @@ class What(StrEnum):
     frames = "frames"
     lines = "lines"
     spans = "spans"
+    conductors = "conductors"
     gaps = "gaps"
     signals = "signals"
 
@@ -54,6 +55,7 @@ class Redact(StrEnum):
     fuzz = "fuzz"
 
 
+_IMAGES = {Form.jpeg, Form.coco, Form.labelme, Form.esri_oriented}
 _STDOUT = Path("/dev/stdout")
 _SUFFIXES = {
     ".geojson": Form.geojson,
@@ -120,10 +122,10 @@ def export(
     flight_ids, redaction = _find_flights(source, flight), _to_redaction(redact)
     if chosen == Form.rrd:
         _export_rrd(source, flight_ids, output, redaction)
-    elif what == What.evidence:
-        _export_evidence(source, flight_ids, output, chosen, redaction)
     elif what == What.corrections:
         _export_corrections(source, flight_ids, output, chosen)
+    elif chosen in _IMAGES:
+        _export_images(source, flight_ids, output, what, chosen, redaction)
     else:
         from inspect_pipeline.export.tables import export_rows
 
@@ -134,12 +136,15 @@ def export(
 def _choose_format(output: Path, what: What, form: Form | None) -> Form:
     """Return the format, given or as the suffix says; refuse those that do not hold what is exported."""
     from inspect_pipeline.export.corrections import CORRECTION_FORMATS
-    from inspect_pipeline.export.evidence import EVIDENCE_FORMATS
+    from inspect_pipeline.export.images import IMAGE_FORMATS
     from inspect_pipeline.export.tables import TABLE_FORMATS
 
-    folders = {What.evidence: EVIDENCE_FORMATS, What.corrections: CORRECTION_FORMATS}
-    possible = folders[what] if what in folders else (*TABLE_FORMATS[what.value], "rrd")
-    default = Form(possible[0]) if what in folders else None
+    possible = {
+        What.evidence: IMAGE_FORMATS,
+        What.corrections: CORRECTION_FORMATS,
+        What.frames: (*TABLE_FORMATS["frames"], "rrd", *IMAGE_FORMATS),
+    }.get(what) or (*TABLE_FORMATS[what.value], "rrd")
+    default = Form(possible[0]) if what in {What.evidence, What.corrections} else None
     chosen = form or _SUFFIXES.get(output.suffix.lower(), default)
     if chosen is None:
         raise typer.BadParameter(f"{output}: its suffix names no format; give --format {'|'.join(possible)}")
@@ -149,8 +154,8 @@ def _choose_format(output: Path, what: What, form: Form | None) -> Form:
 
 
 def _find_flights(store: Store, name: str | None) -> list[str]:
+    from inspect_pipeline.index.flights import resolve_flight
     from inspect_pipeline.index.reading import select
-    from inspect_pipeline.report.data import resolve_flight
 
     if name is not None:
         return [resolve_flight(store, name)]
@@ -183,15 +188,16 @@ def _export_rrd(store: Store, flight_ids: list[str], output: Path, redaction: Re
     _report(output, count_of(export_rrd(store, flight_ids[0], output, redaction), "image"), redaction)
 
 
-def _export_evidence(
-    store: Store, flight_ids: list[str], folder: Path, form: Form, redaction: Redaction | None
+def _export_images(
+    store: Store, flight_ids: list[str], folder: Path, what: What, form: Form, redaction: Redaction | None
 ) -> None:
-    from inspect_pipeline.export.evidence import export_evidence
+    from inspect_pipeline.export.images import export_images
 
     with progress_bar(folder.name, None) as advance:
-        found = export_evidence(
+        found = export_images(
             store,
             flight_ids,
+            what.value,
             folder,
             form=form.value,
             redaction=redaction,

@@ -57,7 +57,10 @@ def train(
     ] = Recipe.DEFAULT,
     preset: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Network: paper, fast, or a rival as wd-dcnn-gnfl. Default: fast."),
+        typer.Option(
+            metavar="NAME",
+            help="Network: paper, fast, or a rival as wd-dcnn-gnfl. Default: fast, or that of the recipe.",
+        ),
     ] = None,
     network: Annotated[
         list[str] | None,

@@ -29,7 +29,10 @@ def overlay(
         ),
     ],
     flight: Annotated[
-        str | None, typer.Argument(metavar="FLIGHT", help="A flight_id or the start of it.")
+        str | None,
+        typer.Argument(
+            metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."
+        ),
     ] = None,
     frame: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="A frame_idx. Default: the frame with most lines.")
@@ -50,7 +53,7 @@ def overlay(
     Examples:
       lsnet-pipe overlay 3f2a --frame 12 -o frame.png
       lsnet-pipe overlay --anomaly 0a1b2c -o evidence.png
-      lsnet-pipe overlay 3f2a -o flight.mp4
+      lsnet-pipe overlay last -o flight.mp4
     """
     if (flight is None) == (anomaly is None) or (anomaly and (frame is not None or topic)):
         raise typer.BadParameter("give a FLIGHT, with --frame and --topic as needed, or --anomaly ID alone")
@@ -81,12 +84,12 @@ def overlay(
 
 
 def _find_frames(
-    store: Store, beginning: str, frame: int | None, topic: str | None
+    store: Store, name: str, frame: int | None, topic: str | None
 ) -> tuple[str, list[dict[str, Any]]]:
-    from inspect_pipeline.index.flights import find_flight
+    from inspect_pipeline.index.flights import resolve_flight
     from inspect_pipeline.overlay import select_frames
 
-    flight_id = find_flight(store, beginning)
+    flight_id = resolve_flight(store, name)
     return flight_id, select_frames(store, flight_id, frame, topic=topic)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from inspect_pipeline.commands.options import check_suffix
-from inspect_pipeline.commands.output import print_line, warn
+from inspect_pipeline.commands.output import count_of, print_line, warn
 
 
 def pack(
@@ -52,4 +52,5 @@ def pack(
     result = packing.pack(source, target, zone=zone, start=begin)
     for warning in result.warnings:
         warn(warning)
-    print_line(f"{target}: {', '.join(f'{count} {what}' for what, count in result.counts.items())}")
+    counts = (count_of(count, what.removesuffix("s")) for what, count in result.counts.items())
+    print_line(f"{target}: {', '.join(counts)}")

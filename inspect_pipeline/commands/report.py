@@ -49,7 +49,7 @@ def report(
         write_page(output, render_store(source, {}))
         print_line(f"{output}: all flights")
     else:
-        from inspect_pipeline.report.data import resolve_flight
+        from inspect_pipeline.index.flights import resolve_flight
         from inspect_pipeline.report.flight_page import render_flight
 
         flight_id = resolve_flight(source, flight)

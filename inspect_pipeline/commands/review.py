@@ -39,7 +39,7 @@ def review(
     source = open_store(store)
 
     from inspect_pipeline.errors import OutputError
-    from inspect_pipeline.report.data import resolve_flight
+    from inspect_pipeline.index.flights import resolve_flight
     from inspect_pipeline.review.decisions import Publisher
     from inspect_pipeline.review.server import ADDRESS, ReviewServer
 

@@ -9,7 +9,14 @@ import typer
 
 from inspect_pipeline.commands.options import check_suffix, finite
 from inspect_pipeline.commands.output import print_line
-from inspect_pipeline.simulation.options import FaultKind, FlightKind, RenderKind, SchemaKind
+from inspect_pipeline.simulation.options import (
+    FaultKind,
+    FlightKind,
+    RenderKind,
+    SchemaKind,
+    TowerKind,
+    WeatherKind,
+)
 
 _LEAST_PX, _MOST_PX = 64, 8192
 
@@ -53,6 +60,11 @@ def simulate(
     attitude_noise: Annotated[
         float, typer.Option(min=0, metavar="DEG", callback=finite, help="Noise of the camera's angles.")
     ] = 0.0,
+    wind: Annotated[
+        float, typer.Option(min=0, max=60, metavar="DEG", callback=finite, help="Swing of the conductors.")
+    ] = 0.0,
+    weather: Annotated[WeatherKind, typer.Option(help="Light of the pictures.")] = WeatherKind.CLEAR,
+    towers: Annotated[TowerKind, typer.Option(help="Structures to draw.")] = TowerKind.WOOD,
     ground: Annotated[
         Path | None,
         typer.Option(metavar="PHOTO", help="Aerial photograph, 82 m wide, as the ground. Default: drawn."),
@@ -93,6 +105,9 @@ def simulate(
         position_noise_m=position_noise,
         drift_m=drift,
         attitude_noise_deg=attitude_noise,
+        wind_deg=wind,
+        weather=weather,
+        towers=towers,
         faults=tuple(fault or ()),
         schema=schema,
         ground=ground,

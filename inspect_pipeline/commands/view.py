@@ -76,7 +76,7 @@ def view(
 def _find(store: Store, flight: str | None, anomaly: str | None) -> tuple[str, int | None]:
     """Return the flight_id and the time to start at."""
     from inspect_pipeline.index.anomalies import find_anomaly
-    from inspect_pipeline.report.data import resolve_flight
+    from inspect_pipeline.index.flights import resolve_flight
 
     if anomaly is not None:
         row = find_anomaly(store, anomaly)
@@ -85,11 +85,11 @@ def _find(store: Store, flight: str | None, anomaly: str | None) -> tuple[str, i
 
 
 def _print_desktop(files: dict[str, Path], name: str) -> None:
-    """Print how the desktop applications open the files: by the command line, or dropped into the window."""
+    """Print how the desktop applications open the files: a command, and what to drop into the window."""
     recordings = [str(path) for path in files.values() if path.suffix == ".mcap"]
     layout = str(files["layout.json"])
     print_line(
-        f"Desktop     cp {shlex.quote(layout)} {_LAYOUTS}/{name}.json &&"
-        f" lichtblick --source={shlex.quote(recordings[0])} --defaultLayout={name}"
+        f"Desktop     mkdir -p {_LAYOUTS} && cp {shlex.quote(layout)} {_LAYOUTS}/{name}.json &&"
+        f" lichtblick {' '.join(map(shlex.quote, recordings))} --defaultLayout={name}"
     )
     print_line(f"            or drop into the window: {' '.join(map(shlex.quote, [*recordings, layout]))}")

@@ -29,6 +29,7 @@ _LETTERED_GPS = re.compile(rf"GPS\s*\(([EW]):\s*{_NUMBER},\s*([NS]):\s*{_NUMBER}
 _FOCAL = re.compile(rf"\bfocal_len\s*:\s*{_NUMBER}")
 _ZOOM = re.compile(rf"\bdzoom_ratio\s*:\s*{_NUMBER}")
 _LEAST_TENTHS = 100  # no drone has a lens below 10 mm
+_MOST_FOCAL, _MOST_ZOOM = 100_000, 1000  # anything beyond is damage
 _ZOOM_UNIT, _LEAST_ZOOM_UNITS = 10_000, 1000  # dzoom_ratio: 10000 is no zoom, as is 1.00
 _HEIGHT = re.compile(rf"(?:\brel_alt:\s*|\bBAROMETER\s*[:(]\s*|\bHb:\s*|\bH\s+){_NUMBER}")
 _GIMBAL = re.compile(rf"\bG\.PRY\s*\({_NUMBER}°?,\s*{_NUMBER}°?,\s*{_NUMBER}°?\)")  # pitch, roll, yaw
@@ -169,9 +170,10 @@ def _gimbal(body: str, fields: dict[str, float]) -> YawPitchRoll | None:
 def _focal_35mm(body: str) -> float | None:
     """Return the focal length: with a fraction in mm, without in tenths of them (240 is 24 mm)."""
     match = _FOCAL.search(body)
-    if match is None or float(match[1]) <= 0:
+    if match is None or not 0 < float(match[1]) < _MOST_FOCAL:
         return None
     focal_mm = float(match[1]) / (10 if "." not in match[1] and float(match[1]) >= _LEAST_TENTHS else 1)
     zoom = _ZOOM.search(body)
     ratio = float(zoom[1]) if zoom else 1.0
-    return focal_mm * (ratio / _ZOOM_UNIT if ratio >= _LEAST_ZOOM_UNITS else max(ratio, 1.0))
+    ratio = min(ratio / _ZOOM_UNIT if ratio >= _LEAST_ZOOM_UNITS else max(ratio, 1.0), _MOST_ZOOM)
+    return focal_mm * ratio

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _DJI = "{http://www.dji.com/drone-dji/1.0/}"
 _OFFSET = re.compile(r"([+-])(\d\d):(\d\d)")
+_UNITS_MM = {2: 25.4, 3: 10.0}  # of EXIF: inch, centimetre
 _OFF_CENTRE = 0.1  # of the image's sides: farther off, a calibrated centre is of another image
 # By the letter that DJI puts behind a picture's number, and by the XMP field ImageSource.
 _LENS_OF_LETTER = {"W": "wide", "Z": "zoom", "T": "thermal", "V": "visible", "S": "screen"}
@@ -189,13 +190,25 @@ def _number(text: str | None) -> float | None:
 def _focal_px(
     camera: Mapping[int, Any], dji: Mapping[str, str], model: str, image_size: tuple[int, int]
 ) -> float | None:
-    """Return the calibrated focal length, else that for 35 mm film, else that of a known sensor."""
+    """Return the calibrated focal length, else that for 35 mm film, else by the size of the sensor."""
     if calibrated_px := _calibrated_px(dji, image_size):
         return calibrated_px
     if focal_35mm := _positive(camera.get(ExifTags.Base.FocalLengthIn35mmFilm)):
         return focal_px_of_film(focal_35mm, image_size)
     focal_mm = _positive(camera.get(ExifTags.Base.FocalLength))
-    return focal_px_of_sensor(focal_mm, model, image_size) if focal_mm else None
+    if focal_mm is None:
+        return None
+    return focal_px_of_sensor(focal_mm, model, image_size) or _focal_plane_px(camera, focal_mm, image_size[1])
+
+
+def _focal_plane_px(camera: Mapping[int, Any], focal_mm: float, width_px: int) -> float | None:
+    """Return the focal length by the pixels per length of the sensor, in an image that may be smaller."""
+    per_unit = _positive(camera.get(ExifTags.Base.FocalPlaneXResolution))
+    unit_mm = _UNITS_MM.get(camera.get(ExifTags.Base.FocalPlaneResolutionUnit, 0))
+    taken_px = _positive(camera.get(ExifTags.Base.ExifImageWidth))
+    if per_unit is None or unit_mm is None or taken_px is None:
+        return None
+    return focal_mm / unit_mm * per_unit * width_px / taken_px
 
 
 def _calibrated_px(dji: Mapping[str, str], image_size: tuple[int, int]) -> float | None:

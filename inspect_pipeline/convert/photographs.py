@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording.writer import RecordingAuthor
 
 _STEP_NS = 1_000  # between photographs of one time: stamps must differ, and SQL keeps microseconds
+_OTHER_PICTURES = frozenset(
+    {".tif", ".tiff", ".dng", ".heic", ".heif", ".png", ".webp", ".raw", ".arw", ".nef"}
+)
 _ZONE_STEP = timedelta(minutes=15)
 
 
@@ -38,9 +41,7 @@ def pack_photographs(folder: Path, target: Path, zone: tzinfo | None = None) -> 
     found = {path: read_tags(path) for path in paths}
     tags_by_path = {path: tags for path, tags in found.items() if tags and tags.clock}
     if not tags_by_path:
-        raise RecordingError(
-            folder, "it has no MCAP file, and no JPEG that says when it was taken", "name another folder"
-        )
+        raise RecordingError(folder, *_why_none(folder, len(paths)))
     all_tags = list(tags_by_path.values())
     usual_zone = zone if zone is not None else _usual_zone(all_tags)
     times_ns = {path: _time_ns(tags, usual_zone) for path, tags in tags_by_path.items()}
@@ -60,6 +61,18 @@ def pack_photographs(folder: Path, target: Path, zone: tzinfo | None = None) -> 
     if len(prefixes) == 1:
         del counts["cameras"]
     return PackResult(counts, (*_left_out(found, tags_by_path), *_bad_xmp(tags_by_path)))
+
+
+def _why_none(folder: Path, n_jpegs: int) -> tuple[str, str]:
+    """Return why there is nothing to pack in a folder, and what to do."""
+    if n_jpegs:
+        which = "its JPEG does not say" if n_jpegs == 1 else f"none of its {n_jpegs:,} JPEGs says"
+        return f"{which} when it was taken", "set the EXIF tag DateTimeOriginal"
+    others = {path.suffix.lower() for path in folder.rglob("*")} & _OTHER_PICTURES
+    if others:
+        kinds = ", ".join(sorted(others))
+        return f"it has pictures ({kinds}) but no JPEG", "convert them to JPEG, keeping their EXIF"
+    return "it has no MCAP file and no JPEG", "name another folder"
 
 
 def _left_out(found: Mapping[Path, PhotographTags | None], used: Collection[Path]) -> list[str]:

@@ -9,7 +9,7 @@ from itertools import islice, pairwise
 from typing import TYPE_CHECKING, cast
 
 from inspect_pipeline.convert.dji_srt import SubtitleBlock, parse_srt
-from inspect_pipeline.convert.lenses import focal_px_of_video
+from inspect_pipeline.convert.lenses import focal_px_of_film
 from inspect_pipeline.convert.messages import CAMERA_FRAME, PackResult, write_lens, write_pose
 from inspect_pipeline.convert.times import to_ns
 from inspect_pipeline.errors import RecordingError
@@ -86,7 +86,7 @@ def _write_block(
     time_ns = start_ns + block.offset_ns
     write_pose(author, time_ns, block.position, block.gimbal, block.height_m)
     if block.focal_35mm and min(image_size) > 0:
-        focal_px = focal_px_of_video(block.focal_35mm, image_size[1])
+        focal_px = focal_px_of_film(block.focal_35mm, image_size)
         write_lens(author, _LENS_TOPIC, time_ns, image_size, focal_px)
 
 

@@ -28,18 +28,20 @@ _PLOTTED = {  # colour of each number that a plot shows at first; None for those
 }
 
 
-def make_layout(topics: Sequence[str], signals: Sequence[str], *, has_map: bool = True) -> dict[str, Any]:
+def make_layout(
+    topics: Sequence[str], signals: Sequence[str], centre: tuple[float, float] | None
+) -> dict[str, Any]:
     """Return the layout as viewers import it from a JSON file.
 
     Args:
         topics: of the cameras; the first few get a panel.
         signals: the names of the flight's signals.
-        has_map: whether the flight has positions.
+        centre: latitude and longitude in degrees where the map begins; None for a flight without positions.
     """
     shown = list(topics[:_CAMERAS])
     images = {f"Image!lsnet{i}": _image_panel(topic) for i, topic in enumerate(shown)}
     plots = {f"Plot!lsnet{i}": _plot_panel(topic, signals) for i, topic in enumerate(shown[:1])}
-    maps = {"map!lsnet": _MAP_PANEL} if has_map else {}
+    maps = {"map!lsnet": _map_panel(*centre)} if centre else {}
     log = {"RosOut!lsnet": _LOG_PANEL}
     left = _split("column", 72, _split_evenly(list(images)), _split_evenly(list(plots)))
     right = _split("column", 65, next(iter(maps), None), *log)
@@ -85,20 +87,25 @@ def _plot_panel(topic: str, signals: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def _map_panel(lat_deg: float, lon_deg: float) -> dict[str, Any]:
+    """Return a map with a centre of its own: viewers know only those of some kinds of positions."""
+    return {
+        "center": {"lat": lat_deg, "lon": lon_deg},
+        "customTileUrl": "",
+        "disabledTopics": [],
+        "followTopic": "",
+        "layer": "map",
+        "topicColors": {},
+        "maxNativeZoom": 18,
+        "zoomLevel": 17,
+        **_titled("Track, spans and anomalies"),
+    }
+
+
 def _titled(title: str) -> dict[str, str]:
     return {"lichtblickPanelTitle": title, "foxglovePanelTitle": title}
 
 
-_MAP_PANEL = {
-    "customTileUrl": "",
-    "disabledTopics": [],
-    "followTopic": "",
-    "layer": "map",
-    "topicColors": {},
-    "maxNativeZoom": 18,
-    "zoomLevel": 17,
-    **_titled("Track, spans and anomalies"),
-}
 _LOG_PANEL = {"searchTerms": [], "minLogLevel": 1, "topicToRender": LOG_TOPIC, **_titled("Anomalies")}
 
 

@@ -12,6 +12,22 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ORIENTED_IMAGERY_FILE = "oriented_imagery.csv"
+ORIENTED_IMAGERY_FIELDS = (
+    "Name",
+    "ImagePath",
+    "AcquisitionDate",
+    "SRS",
+    "X",
+    "Y",
+    "Z",
+    "CameraHeading",
+    "CameraPitch",
+    "CameraRoll",
+    "HorizontalFieldOfView",
+    "VerticalFieldOfView",
+    "CameraHeight",
+    "OrientedImageryType",
+)
 _NADIR_DEG = -75.0  # pitch up to which the camera counts as looking down
 
 
@@ -23,22 +39,23 @@ def to_oriented_image(path: Path, row: Mapping[str, Any]) -> dict[str, Any] | No
     if row["lat_deg"] is None or row["lon_deg"] is None:
         return None
     pitch_deg, yaw_deg = row["cam_pitch_deg"], row["cam_yaw_deg"]
-    return {
-        "Name": path.stem,
-        "ImagePath": str(path.absolute()),
-        "AcquisitionDate": plain(row["log_time_utc"]),
-        "SRS": 4326,
-        "X": row["lon_deg"],
-        "Y": row["lat_deg"],
-        "Z": row["alt_m"],
-        "CameraHeading": None if yaw_deg is None else yaw_deg % 360,
-        "CameraPitch": None if pitch_deg is None else pitch_deg + 90,
-        "CameraRoll": row["cam_roll_deg"],
-        "HorizontalFieldOfView": _view_deg(row["width"], row["focal_px"]),
-        "VerticalFieldOfView": _view_deg(row["height"], row["focal_px"]),
-        "CameraHeight": row["height_m"],
-        "OrientedImageryType": "Nadir" if pitch_deg is None or pitch_deg <= _NADIR_DEG else "Oblique",
-    }
+    values = (
+        path.stem,
+        str(path.absolute()),
+        plain(row["log_time_utc"]),
+        4326,
+        row["lon_deg"],
+        row["lat_deg"],
+        row["alt_m"],
+        None if yaw_deg is None else yaw_deg % 360,
+        None if pitch_deg is None else pitch_deg + 90,
+        row["cam_roll_deg"],
+        _view_deg(row["width"], row["focal_px"]),
+        _view_deg(row["height"], row["focal_px"]),
+        row["height_m"],
+        "Nadir" if pitch_deg is None or pitch_deg <= _NADIR_DEG else "Oblique",
+    )
+    return dict(zip(ORIENTED_IMAGERY_FIELDS, values, strict=True))
 
 
 def _view_deg(size_px: int, focal_px: float | None) -> float | None:

@@ -45,7 +45,8 @@ def _to_exif(row: Row, size: tuple[int, ...]) -> Image.Exif:
     time = datetime.fromtimestamp(row["log_time_ns"] // 10**9, UTC)
     exif = Image.Exif()
     exif[ExifTags.Base.Software] = f"lsnet-pipe {app_version()}"
-    exif[ExifTags.Base.ImageDescription] = _ascii("; ".join(row["reasons"]))
+    if row.get("reasons"):
+        exif[ExifTags.Base.ImageDescription] = _ascii("; ".join(row["reasons"]))
     camera = exif.get_ifd(ExifTags.IFD.Exif)
     camera[ExifTags.Base.DateTimeOriginal] = f"{time:%Y:%m:%d %H:%M:%S}"
     camera[ExifTags.Base.OffsetTimeOriginal] = "+00:00"

@@ -3,16 +3,19 @@
 `<image topic>/lsnet/track`     foxglove.GeoJSON: the path, coloured by coverage; a click seeks to its time
 `<image topic>/lsnet/numbers`   JSON: numbers of each frame, for plots
 /lsnet/review/spans             foxglove.GeoJSON: the spans, coloured by how much of them was covered
-/lsnet/review/anomalies         foxglove.GeoJSON: a point for each anomaly that has a place
+/lsnet/review/anomalies         foxglove.GeoJSON: a ring around each anomaly that has a place
 /lsnet/review/log               foxglove.Log: a line for each anomaly
 """
 
 from __future__ import annotations
 
 import heapq
+import html
 import json
 from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from inspect_pipeline.export.layout import (
     ANOMALIES_TOPIC,
@@ -21,6 +24,7 @@ from inspect_pipeline.export.layout import (
     SPANS_TOPIC,
     TRACK_SUFFIX,
 )
+from inspect_pipeline.geometry.local_frame import LocalMetres
 from inspect_pipeline.recording.writer import MessageSchema, new_recording
 from inspect_pipeline.resources import read_schema
 
@@ -41,6 +45,7 @@ _VERDICTS: dict[str, tuple[str, LogLevel]] = {
     "dismissed": (GREY, "INFO"),
 }
 _MAX_PIECES = 1000  # of a track: viewers draw each by itself
+_RING_M, _RING_POINTS = 3.0, 13  # radius and corners of the mark of an anomaly
 _WHOLE = 0.95  # share of a span from which on it is shown as covered
 _NOT_NUMBERS = ("channel_id", "log_time_ns", "status", "lat_deg", "lon_deg", "signals")
 _FLIGHT = """
@@ -140,7 +145,7 @@ def _piece_events(piece: list[Row], following: list[Row], topic: str) -> Iterato
         yield _Event(
             piece[0]["log_time_ns"],
             f"{topic}{TRACK_SUFFIX}",
-            _feature(shape, f"{frames}: {state}", _STATES[state]),
+            to_feature(shape, f"{frames}: {state}", _STATES[state]),
         )
     for row in piece:
         numbers = {
@@ -165,7 +170,9 @@ def _span_events(rows: Iterable[Row], start_ns: int) -> list[_Event]:
         text, colour = _describe_span(row)
         shape = {"type": "LineString", "coordinates": ends}
         time_ns = row["first_ns"] if row["first_ns"] is not None else start_ns
-        events.append(_Event(time_ns, SPANS_TOPIC, _feature(shape, f"span {row['span_id']}: {text}", colour)))
+        events.append(
+            _Event(time_ns, SPANS_TOPIC, to_feature(shape, f"span {row['span_id']}: {text}", colour))
+        )
     return sorted(events, key=lambda event: event.time_ns)
 
 
@@ -180,11 +187,22 @@ def _describe_span(row: Row) -> tuple[str, str]:
 
 
 def _anomaly_feature(row: Row) -> dict[str, Any]:
-    shape = {"type": "Point", "coordinates": [row["lon_deg"], row["lat_deg"]]}
-    return _feature(shape, f"{row['kind']} ({row['verdict']}): {row['reason']}", _VERDICTS[row["verdict"]][0])
+    shape = {"type": "Polygon", "coordinates": [_ring(row["lat_deg"], row["lon_deg"])]}
+    return to_feature(
+        shape, f"{row['kind']} ({row['verdict']}): {row['reason']}", _VERDICTS[row["verdict"]][0]
+    )
 
 
-def _feature(geometry: dict[str, Any], name: str, colour: str) -> dict[str, Any]:
-    """Return a feature with the properties by which viewers label and draw it."""
-    style = {"color": colour, "weight": 6 if geometry["type"] == "Point" else 4, "opacity": 0.9}
-    return {"type": "Feature", "geometry": geometry, "properties": {"name": name, "style": style}}
+def to_feature(geometry: dict[str, Any], name: str, colour: str) -> dict[str, Any]:
+    """Return a feature with the properties by which viewers label and draw it; they take labels for HTML."""
+    style = {"color": colour, "weight": 4, "opacity": 0.9}
+    properties = {"name": html.escape(name, quote=False), "style": style}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _ring(lat_deg: float, lon_deg: float) -> list[list[float]]:
+    """Return a circle around a place, since viewers draw points as markers of one colour."""
+    turns = np.linspace(0, 2 * np.pi, _RING_POINTS)
+    around_m = _RING_M * np.column_stack((np.sin(turns), np.cos(turns)))
+    lats_deg, lons_deg = LocalMetres(lat_deg, lon_deg).to_degrees(around_m)
+    return np.column_stack((lons_deg, lats_deg)).tolist()  # type: ignore[no-any-return]

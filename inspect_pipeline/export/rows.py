@@ -25,6 +25,7 @@ GEOMETRIES: dict[str, GeometryKind] = {
     "anomalies": "Point",
     "signals": "Point",
     "spans": "LineString",
+    "conductors": "LineString",
     "gaps": "LineString",
 }
 _NORTH_DEG, _EAST_DEG = (0.1, 0.3), (0.2, 20.0)  # how far coordinates are moved, at least and at most

@@ -35,7 +35,7 @@ _TYPES = {".json": "application/json"}
 
 
 def viewer_files(store: Store, flight_id: str) -> dict[str, Path]:
-    """Return the files with which viewers show a flight, by the names they are served under.
+    """Return the files with which viewers show a flight; the keys are the names they are served under.
 
     Raises RecordingError when neither the annotated copy nor the recording is there, StoreError.
     """

@@ -30,7 +30,7 @@ _COLUMNAR: dict[str, Callable[[Rows, Path], None]] = {
 _MAPS = ("geojson", "gpkg", "kml", "geoparquet")
 TABLE_FORMATS = {
     what: (*(_MAPS if what in GEOMETRIES else ()), "csv", "parquet")
-    for what in ("frames", "lines", "spans", "gaps", "anomalies", "signals")
+    for what in ("frames", "lines", "spans", "conductors", "gaps", "anomalies", "signals")
 }
 
 

@@ -130,7 +130,9 @@ def _title(what: str, row: Row) -> str:
         return f"frame {row['frame_idx']}"
     if what == "signals":
         return f"{row['name']} {row['value']}"
-    return str(row.get("span_id") if what == "spans" else row["kind"])
+    if what == "conductors":
+        return f"{row['span_id']} {row['conductor']}"
+    return str(row["span_id"] if what == "spans" else row["kind"])
 
 
 def _style(row: Row) -> str:

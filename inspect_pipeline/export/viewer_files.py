@@ -17,7 +17,8 @@ REVIEW, LAYOUT = "review.mcap", "layout.json"
 _CONTENT = """
 SELECT (SELECT list(topic ORDER BY channel_id) FROM channels WHERE flight_id = $flight_id) AS topics,
        (SELECT list(DISTINCT name ORDER BY name) FROM signals WHERE flight_id = $flight_id) AS signals,
-       EXISTS (FROM frames WHERE flight_id = $flight_id AND lat_deg IS NOT NULL) AS has_map
+       (SELECT [lat_deg, lon_deg] FROM frames WHERE flight_id = $flight_id AND lat_deg IS NOT NULL
+        ORDER BY log_time_ns, channel_id LIMIT 1) AS centre
 """
 
 
@@ -26,5 +27,7 @@ def write_viewer_files(index: IndexReader, store: Store, flight_id: str) -> None
     folder = store.flight_dir(flight_id)
     write_review(index, flight_id, folder / REVIEW)
     (found,) = index.select(_CONTENT, {"flight_id": flight_id})
-    layout = make_layout(found["topics"] or [], found["signals"] or [], has_map=found["has_map"])
+    layout = make_layout(
+        found["topics"] or [], found["signals"] or [], found["centre"] and tuple(found["centre"])
+    )
     write_whole(folder / LAYOUT, json.dumps(layout, indent=1) + "\n")

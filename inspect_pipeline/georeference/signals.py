@@ -29,7 +29,7 @@ _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """Values over time by the name of the signal; warnings and losses are a phrase each."""
+    """Values over time of each signal; warnings and losses are a phrase each."""
 
     samples: Mapping[str, PoseSamples] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

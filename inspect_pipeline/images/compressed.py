@@ -1,25 +1,28 @@
 """Compressed images to pixels: JPEG by libjpeg-turbo, all other formats by Pillow.
 
 The first bytes decide what an image is. Its size is read, and bounded, before memory is taken for it. Both
-libraries report what is wrong as exceptions; OpenCV would leave warnings of libjpeg and libpng to stderr, and
-gets only colours of 16 bits, after Pillow has found them whole.
+libraries report what is wrong as exceptions; OpenCV would leave warnings of libjpeg and libpng to stderr.
 """
 
 from __future__ import annotations
 
 import logging
+import sys
 import warnings
 import zlib
 from io import BytesIO
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import simplejpeg
-from PIL import Image, UnidentifiedImageError
-from PIL.TiffImagePlugin import TiffImageFile
+from PIL import Image, ImageFile, UnidentifiedImageError
 
 from inspect_pipeline.images.pixels import Pixels, conversion
 from inspect_pipeline.messages.image import ImageError
+
+if TYPE_CHECKING:
+    from inspect_pipeline.arrays import ImageArray
 
 _MAX_PIXELS = 160 << 20  # cameras have up to 150 megapixels
 _MAX_PIXELS_PER_BYTE = 10_000  # a PNG of one bit and one colour has 8,256
@@ -29,9 +32,15 @@ _JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 _JPEG_END = b"\xff\xd9"
 # Of the formats that Pillow knows; others may run programs or are no images of cameras.
 _FORMATS = ("PNG", "WEBP", "TIFF", "BMP", "GIF", "AVIF", "JPEG2000", "PPM", "QOI", "JPEG")
+_COLOUR_MODES = ("RGB", "RGBA", "RGBX")
+# Pillow's names of the upper byte of 16 bits, and of the lower: N is the order of this machine.
+_FOREIGN = "B" if sys.byteorder == "little" else "L"
+_OTHER_BYTES = {
+    f"{mode};16{order}": f"{mode};16{other}"
+    for mode in _COLOUR_MODES
+    for order, other in (("B", "L"), ("L", "B"), ("N", _FOREIGN))
+}
 _GREY = conversion(cv2.COLOR_GRAY2RGB)
-_TIFF_BITS = 258  # the tag of bits per sample
-_FROM_BGR = conversion(cv2.COLOR_BGR2RGB)
 
 logging.getLogger("PIL").setLevel(logging.CRITICAL + 1)
 warnings.filterwarnings("ignore", module="PIL")
@@ -96,11 +105,9 @@ def _decode_without_end(data: memoryview) -> Pixels:
 def _decode_with_pillow(data: memoryview) -> Pixels:
     try:
         with Image.open(BytesIO(data), formats=_FORMATS) as image:
-            _check_size(image.width * image.height, len(data))
-            if _is_deep_colour(image, data):
-                image.load()  # raises for damage, of which OpenCV would print
-                return _decode_deep_colour(data)
-            return _to_pixels(image)
+            is_deep = _is_deep_colour(image)
+            _check_size(image.width * image.height, len(data), _MAX_PIXELS // 2 if is_deep else _MAX_PIXELS)
+            return _decode_deep_colour(data) if is_deep else _to_pixels(image)
     except ImageError:
         raise
     except Image.DecompressionBombError as error:
@@ -111,38 +118,39 @@ def _decode_with_pillow(data: memoryview) -> Pixels:
         raise ImageError("the image cannot be decoded") from error
 
 
-def _is_deep_colour(image: Image.Image, data: memoryview) -> bool:
+def _is_deep_colour(image: Image.Image) -> bool:
     """Whether an image has colours of 16 bits, of which Pillow keeps the upper 8."""
-    if image.format == "PNG":
-        bits, colours = data[24:26]
-        return bits == 16 and colours != 0  # 0: grey
     return (
-        isinstance(image, TiffImageFile)
-        and image.mode.startswith("RGB")
-        and 16 in image.tag_v2.get(_TIFF_BITS, ())
+        isinstance(image, ImageFile.ImageFile)
+        and image.mode in _COLOUR_MODES
+        and all(_raw_mode(tile) in _OTHER_BYTES for tile in image.tile)
     )
 
 
+def _raw_mode(tile: Any) -> str:
+    """Return how Pillow unpacks the bytes of a tile."""
+    args = tile.args if isinstance(tile.args, tuple) else (tile.args,)
+    return str(args[0]) if args else ""
+
+
 def _decode_deep_colour(data: memoryview) -> Pixels:
-    pixels = data if data[:8] != _PNG else _without_notes(data)
-    values = cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_UNCHANGED)
-    if values is None or values.dtype != np.uint16 or values.ndim != 3:
-        raise ImageError("the image cannot be decoded")
-    return Pixels(
-        np.asarray(values[..., :3], np.uint16), _FROM_BGR
-    )  # opacity is not in the range of a sensor
+    """Decode colours of 16 bits: Pillow gives one byte of each, which, by the order of bytes it is told."""
+    upper, lower = (_load_bytes(data, is_lower=is_lower) for is_lower in (False, True))
+    values = (upper.astype(np.uint16) << 8) | lower
+    return Pixels(values.astype(np.uint16, copy=False))
 
 
-def _without_notes(data: memoryview) -> bytes:
-    """Return a PNG without the chunks beside its pixels, such as a colour profile that libpng prints of."""
-    kept, at, kind = bytearray(_PNG), len(_PNG), b""
-    while kind != b"IEND":
-        end = at + 12 + int.from_bytes(data[at : at + 4])
-        kind = bytes(data[at + 4 : at + 8])
-        if kind in {b"IHDR", b"IDAT", b"IEND"}:
-            kept += data[at:end]
-        at = end
-    return bytes(kept)
+def _load_bytes(data: memoryview, *, is_lower: bool) -> ImageArray:
+    with Image.open(BytesIO(data), formats=_FORMATS) as image:
+        assert isinstance(image, ImageFile.ImageFile)  # noqa: S101 - it was found to be
+        if is_lower:
+            image.tile = [_of_other_bytes(tile) for tile in image.tile]
+        return np.asarray(image, np.uint8)[..., :3]  # without opacity, which is of another range
+
+
+def _of_other_bytes(tile: Any) -> Any:
+    other = _OTHER_BYTES[_raw_mode(tile)]
+    return tile._replace(args=(other, *tile.args[1:]) if isinstance(tile.args, tuple) else other)
 
 
 def _to_pixels(image: Image.Image) -> Pixels:
@@ -156,9 +164,9 @@ def _to_pixels(image: Image.Image) -> Pixels:
     return Pixels(np.asarray(image.convert("RGB"), np.uint8))
 
 
-def _check_size(n_pixels: int, n_bytes: int) -> None:
-    if n_pixels > _MAX_PIXELS:
-        raise ImageError(f"the image claims more than {_MAX_PIXELS >> 20} megapixels")
+def _check_size(n_pixels: int, n_bytes: int, n_most: int = _MAX_PIXELS) -> None:
+    if n_pixels > n_most:
+        raise ImageError(f"the image claims more than {n_most >> 20} megapixels")
     if n_pixels > max(_MAX_PIXELS_PER_BYTE * n_bytes, _SMALL_PIXELS):
         raise ImageError("the image claims more pixels than its bytes can hold")
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_FRAMES = 300  # of a span: more are thinned out, as neighbours show the same
+_MAX_HIDDEN = 0.5  # of the views of a conductor, which another one spoils
 _MIN_PRESENT = 0.4  # of the votes; with fewer, and too few against it, frames disagree
 PRESENT, ABSENT, UNKNOWN = 1, 0, -1
 
@@ -56,9 +57,9 @@ class SpanEvidence:
         return self.sight.axis
 
     def rows_showing(self, bins: Ints) -> Ints:
-        """Return the longest run of usable frames that show at least half as many of the bins as any does."""
+        """Return the longest run of usable frames that show half of the stretch, or of what any shows."""
         usable = np.flatnonzero(np.isfinite(self.sight.from_m))
-        shown = self.sight.fine[usable][:, bins].sum(axis=1)
+        shown = self.sight.fine[usable, bins[0] : bins[-1] + 1].sum(axis=1)
         longest = usable[max(find_runs(shown >= shown.max() / 2, 1), key=len)]
         return np.arange(self.sight.rows[longest[0]], self.sight.rows[longest[-1]] + 1)
 
@@ -145,4 +146,5 @@ def _decide(votes: Votes, rules: Rules) -> Ints:
     absent = against >= np.maximum(limits["min_support"], limits["min_agreement"] * total)
     present = total - against >= _MIN_PRESENT * total
     states = np.where(absent, ABSENT, np.where(present, PRESENT, UNKNOWN))
-    return np.where(total < limits["min_evidence"], UNKNOWN, states)
+    is_unknown = (total < limits["min_evidence"]) | (votes.hidden > _MAX_HIDDEN)
+    return np.where(is_unknown, UNKNOWN, states)

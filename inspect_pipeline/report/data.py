@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from inspect_pipeline.errors import UnknownIdError
 from inspect_pipeline.index.anomalies import list_anomalies
-from inspect_pipeline.index.flights import describe_flights, find_flight
-from inspect_pipeline.index.reading import open_index, select
+from inspect_pipeline.index.flights import describe_flights
+from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.inspection.rules import PRIORITIES
-from inspect_pipeline.store.images import source_path
 
 if TYPE_CHECKING:
     from inspect_pipeline.store.store import Store
@@ -71,10 +69,16 @@ LEFT JOIN (
 WHERE f.flight_id = $1
 ORDER BY f.log_time_ns, f.channel_id
 """
+_CONDUCTORS = """
+SELECT c.*, h.topic
+FROM conductors AS c
+LEFT JOIN channels AS h USING (flight_id, channel_id)
+JOIN spans AS s USING (span_id)
+WHERE c.flight_id = ?
+ORDER BY s.line_id, c.span_id, c.channel_id, c.conductor
+"""
 _GAPS = "SELECT * FROM coverage_gaps WHERE flight_id = ? ORDER BY start_ns, kind"
 _CHANNELS = "SELECT * FROM channels WHERE flight_id = ? ORDER BY channel_id"
-_LATEST = "SELECT flight_id FROM flights ORDER BY ingested_at DESC, flight_id LIMIT 1"
-_SOURCES = "SELECT flight_id, source_uri FROM flights ORDER BY ingested_at DESC, flight_id"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,7 @@ class FlightData:
     stretches: list[Row]
     frames: list[Row]
     gaps: list[Row]
+    conductors: list[Row]
     anomalies: list[Row]
 
     @property
@@ -116,6 +121,7 @@ def load_flight(store: Store, flight_id: str) -> FlightData:
                 "stretches": _STRETCHES,
                 "frames": _FRAMES,
                 "gaps": _GAPS,
+                "conductors": _CONDUCTORS,
             }.items()
         }
         (settings,), unplaced = index.select(_SETTINGS, [flight_id]), index.select(_UNPLACED, [flight_id])
@@ -130,21 +136,3 @@ def load_flight(store: Store, flight_id: str) -> FlightData:
         anomalies=sorted(anomalies, key=lambda row: PRIORITIES.index(row["priority"])),
         **rows,
     )
-
-
-def resolve_flight(store: Store, name: str) -> str:
-    """Return the flight that a name means: `last`, the start of a flight_id, or the file name of a recording.
-
-    Of several flights of recordings of one name it is the one processed last. Raises UnknownIdError,
-    AmbiguousIdError, StoreError.
-    """
-    if name == "last":
-        rows = select(store, _LATEST)
-        if not rows:
-            raise UnknownIdError("flight", name, "flights list")
-        return str(rows[0]["flight_id"])
-    for row in select(store, _SOURCES):
-        path = source_path(row["source_uri"])
-        if name in (path.name, path.stem, str(path)):
-            return str(row["flight_id"])
-    return find_flight(store, name)

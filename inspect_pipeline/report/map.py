@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 WIDTH, _MIN_HEIGHT, _MAX_HEIGHT, _MARGIN = 720.0, 240.0, 440.0, 44.0  # in units of the drawing
 _PATH_TOLERANCE = 0.7  # in units of the drawing
 _MIN_EXTENT_M = 20.0
-_LABEL_GAP = 30.0  # labels nearer to each other than this are left out
+_LABEL_GAP, _MARK_GAP, _STRUCTURE_GAP = 34.0, 19.0, 9.0  # what is nearer to another is left out or small
 _ASIDE = 13.0  # of the line, where labels of spans and structures stand
 _UPRIGHT, _MAX_NAMES = 0.25, 16
 
@@ -105,7 +105,9 @@ def draw_map(
     ends = np.array(
         [[row[f"{end}_lat_deg"], row[f"{end}_lon_deg"]] for row in spans for end in ("from", "to")]
     ).reshape(-1, 2)
-    everything = np.vstack((where, ends))
+    everything = np.vstack(
+        (where, ends, _positions([row for row in anomalies if row["lat_deg"] is not None]))
+    )
     if not len(everything):
         return None
     project, height, scale_m = _fit(everything)
@@ -117,12 +119,28 @@ def draw_map(
     _add_spans(
         drawn, dict(zip((row["span_id"] for row in spans), ends_px, strict=True)), spans, stretches, targets
     )
+    drawn.anomalies.extend(_anomaly_marks(project, anomalies))
+    return drawn
+
+
+def _anomaly_marks(project: _Projection, anomalies: Sequence[Row]) -> list[Mark]:
+    """Return a mark for each anomaly with a place, the first ones last, so that they are on top.
+
+    Those near an earlier one have no label.
+    """
+    marks: list[Mark] = []
+    labelled: list[Floats] = []
     for number, row in enumerate(anomalies, 1):
         if row["lat_deg"] is not None:
-            x, y = project(row["lat_deg"], row["lon_deg"])
-            target = f"finding-{row['anomaly_id']}"
-            drawn.anomalies.append(Mark(x, y, str(number), row["reason"], row["priority"], target))
-    return drawn
+            place = project(row["lat_deg"], row["lon_deg"])
+            is_free = all(np.hypot(*(place - other)) > _MARK_GAP for other in labelled)
+            if is_free:
+                labelled.append(place)
+            title, target = f"{number}: {row['reason']}", f"finding-{row['anomaly_id']}"
+            label = str(number) if is_free else ""
+            marks.append(Mark(float(place[0]), float(place[1]), label, title, row["priority"], target))
+    marks.reverse()
+    return sorted(marks, key=lambda mark: bool(mark.label))
 
 
 def _positions(placed: Sequence[Row]) -> Floats:
@@ -175,7 +193,7 @@ def _add_labels(
             share = "?" if row["share"] is None else f"{100 * row['share']:.0f} %"
             drawn.labels.append(_mark(middle + _ASIDE * aside, share, titles[row["span_id"]], anchor))
         for which, place in (("from", start), ("to", end)):
-            key = (round(float(place[0])), round(float(place[1])))
+            key = (round(float(place[0]) / _STRUCTURE_GAP), round(float(place[1]) / _STRUCTURE_GAP))
             structures.setdefault(key, (row[f"{which}_structure"] or "", place, aside))
     are_named = len(structures) <= _MAX_NAMES
     for name, place, aside in structures.values():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +72,7 @@ def write_page(path: Path, page: str) -> None:
         raise OutputError(path, f"cannot be written ({error.strerror})", "name another file") from error
 
 
+@cache  # templates are compiled once
 def _environment() -> Environment:
     environment = Environment(
         loader=FunctionLoader(_read),
@@ -80,7 +82,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters = ("kind_name", "percent", "metres", "duration", "clock", "date", "quantity")
+    filters = ("kind_name", "percent", "metres", "measured_m", "duration", "clock", "date", "quantity")
     environment.filters |= {name: getattr(words, name) for name in filters}
     environment.globals |= {"PRIORITIES": PRIORITIES, "STATE_NAMES": STATE_NAMES}
     return environment

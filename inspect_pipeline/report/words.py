@@ -89,6 +89,13 @@ def duration(seconds: float | None) -> str:
     return f"{minutes} min {rest:02d} s" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
+def measured_m(value: float | None, sd: float | None) -> str:
+    """Return a length in metres with its standard deviation."""
+    if value is None:
+        return NONE
+    return f"{value:.1f} m" if sd is None else f"{value:.1f} ± {max(sd, 0.1):.1f} m"
+
+
 def clock(time_ns: int | None) -> str:
     """Return the UTC time of day of nanoseconds since 1970, to a tenth of a second."""
     if time_ns is None:

@@ -33,6 +33,21 @@ class RenderKind(StrEnum):
     PBR = "pbr"
 
 
+class WeatherKind(StrEnum):
+    """Light of a flight: a clear morning, haze, or a low sun with long shadows."""
+
+    CLEAR = "clear"
+    HAZE = "haze"
+    LOW_SUN = "low-sun"
+
+
+class TowerKind(StrEnum):
+    """What carries the conductors: wooden poles, or lattice towers of steel."""
+
+    WOOD = "wood"
+    STEEL = "steel"
+
+
 class FaultKind(StrEnum):
     """Faults to plant: of the line first, then of frames and messages."""
 
@@ -73,6 +88,9 @@ class SimulationOptions:
         position_noise_m: standard deviation of each recorded position, on each axis.
         drift_m: amplitude of a slow error of positions, on each axis.
         attitude_noise_deg: standard deviation of each recorded angle of the camera.
+        wind_deg: by how much wind swings the conductors out; the drone sways more, too.
+        weather: of the pictures.
+        towers: that are drawn.
         faults: planted once for each time they are named.
         schema: of the messages.
         ground: a photograph from above to use as the ground; None draws it.
@@ -91,6 +109,9 @@ class SimulationOptions:
     position_noise_m: float = 0.0
     drift_m: float = 0.0
     attitude_noise_deg: float = 0.0
+    wind_deg: float = 0.0
+    weather: WeatherKind = WeatherKind.CLEAR
+    towers: TowerKind = TowerKind.WOOD
     faults: tuple[FaultKind, ...] = ()
     schema: SchemaKind = SchemaKind.FOXGLOVE
     ground: Path | None = None

@@ -37,12 +37,13 @@ class DronePose:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A flight of a kind and length; `raised_m` lifts it above wider lines, `phases` (4,) vary its sway."""
+    """A flight of a kind and length; `raised_m` lifts it above wider lines, `phases` (4,) vary its `sway`."""
 
     kind: FlightKind
     seconds: float
     raised_m: float
     phases: Floats
+    sway: float = 1.0
 
     def at(self, t: float) -> DronePose:
         """Return the pose at a time in s since the start."""
@@ -59,15 +60,16 @@ class Path:
     def _beside(self, t: float, x: float) -> DronePose:
         """Return a pose beside and above the line, with some sway."""
         a, b, c, d = self.phases
+        k = self.sway
         return DronePose(
             position=(
                 x,
-                _SIDE_M + 0.5 * np.sin(0.5 * t + a),
-                _HEIGHT_M + self.raised_m + 0.4 * np.sin(0.37 * t + b),
+                _SIDE_M + k * 0.5 * np.sin(0.5 * t + a),
+                _HEIGHT_M + self.raised_m + k * 0.4 * np.sin(0.37 * t + b),
             ),
             heading_rad=0.0,
-            yaw_rad=_AHEAD_RAD + np.deg2rad(2.5) * np.sin(0.43 * t + c),
-            pitch_rad=_DOWN_RAD + np.deg2rad(1.5) * np.sin(0.6 * t + d),
+            yaw_rad=_AHEAD_RAD + k * np.deg2rad(2.5) * np.sin(0.43 * t + c),
+            pitch_rad=_DOWN_RAD + k * np.deg2rad(1.5) * np.sin(0.6 * t + d),
         )
 
     def _orbit(self, t: float) -> DronePose:

@@ -32,6 +32,7 @@ _BEYOND_M = 90.0  # length of the line beyond the last position
 _AXIS_STEP_M = 0.1
 _RAISED_SHARE = 1.3  # of the width by which a line exceeds the usual one
 _USUAL_HALF_M = 1.6
+_SWAY_BY_WIND = 4.0  # times as much for each radian by which it swings the conductors
 
 
 class Shot(NamedTuple):
@@ -126,9 +127,14 @@ def plan_flight(options: SimulationOptions) -> FlightPlan:
     """Plan a flight by its options. Raises ValueError for an impossible line."""
     rng = np.random.default_rng([options.seed, 1])
     n_structures = options.n_structures or _n_passed(options)
-    line = hang_line(_FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle, options.n_circuits)
+    wind_rad = float(np.deg2rad(options.wind_deg))
+    line = hang_line(
+        _FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle, options.n_circuits, wind_rad
+    )
     raised_m = _RAISED_SHARE * max(0.0, line.half_width_m - _USUAL_HALF_M)
-    path = Path(options.flight, options.seconds, raised_m, rng.uniform(0, 2 * np.pi, 4))
+    path = Path(
+        options.flight, options.seconds, raised_m, rng.uniform(0, 2 * np.pi, 4), 1 + _SWAY_BY_WIND * wind_rad
+    )
     azimuth_deg = float(rng.uniform(0, 360))
     timed = schedule_faults(options.faults, options.seconds, options.fps, rng)
     clean = FlightPlan(options, path, line, _axis(line), azimuth_deg, (), tuple(timed))

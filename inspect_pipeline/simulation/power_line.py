@@ -77,7 +77,9 @@ class PowerLine:
         return np.clip(numbers, 0, self.n_structures - 2)
 
 
-def hang_line(first: int, n_structures: int, n_phases: int, n_bundle: int, n_circuits: int = 1) -> PowerLine:
+def hang_line(  # noqa: PLR0917 - numbers of one line
+    first: int, n_structures: int, n_phases: int, n_bundle: int, n_circuits: int = 1, wind_rad: float = 0.0
+) -> PowerLine:
     """Return a line without faults; raises ValueError for less than two structures, a phase or a wire."""
     if n_structures < 2 or n_phases < 1 or n_bundle < 1:
         raise ValueError("a line has at least two structures, a phase and a wire in its bundle")
@@ -90,7 +92,7 @@ def hang_line(first: int, n_structures: int, n_phases: int, n_bundle: int, n_cir
         tuple(
             Conductor(
                 place.conductor_id,
-                np.column_stack((x, np.full_like(x, place.y), place.z - drop)),
+                np.column_stack((x, place.y + drop * np.sin(wind_rad), place.z - drop * np.cos(wind_rad))),
                 np.ones(len(x), bool),
                 place.diameter_m,
             )

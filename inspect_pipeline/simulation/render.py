@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from inspect_pipeline.simulation.ground import TEXEL_M, ground_to_texels
-from inspect_pipeline.simulation.options import RenderKind
+from inspect_pipeline.simulation.options import RenderKind, TowerKind
 from inspect_pipeline.simulation.power_line import POLE_HEIGHT_M
 from inspect_pipeline.simulation.scene import SimulatedCamera, Tree, visible_parts
+from inspect_pipeline.simulation.towers import SUBPIXEL_BITS, draw_beam, draw_pole, draw_tower
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -21,18 +22,11 @@ if TYPE_CHECKING:
     from inspect_pipeline.simulation.records import Quality
 
 
-_SHIFT = 4  # binary places of the coordinates given to OpenCV
 _FINER = 4  # conductors are drawn this much larger, then averaged
 _LEAVES_DARK, _LEAVES_LIGHT = np.array((22, 36, 18)), np.array((112, 132, 66))  # RGB
 _AUTUMN = np.array((26, 10, -6))  # added to a tree of tint 1
 _SHADOW = 0.55  # share of the light that is missing
-# Strips of a beam, drawn over each other: share of the width, shift towards the light, colour.
-_WOOD = (
-    (1.0, 0.0, (64, 56, 48)),
-    (0.8, 0.05, (96, 84, 72)),
-    (0.5, 0.1, (128, 112, 96)),
-    (0.2, 0.15, (147, 129, 110)),
-)
+_HAZE = np.array((198, 204, 210), np.float32)  # RGB
 _MASK = ((1.0, 0.0, (255,)),)
 _METAL = np.array((1.0, 0.99, 0.97))  # colour of the light that a conductor reflects
 # Strokes of a conductor, dark rim to bright top: share of the width, shift to the light, brightness.
@@ -50,6 +44,7 @@ class Landscape:
     """What is drawn: the ground's tile, the trees on it, the conductors from below, x of their poles.
 
     crossarm_half_m: from a pole to the end of its arm. sun: (3,) unit vector towards the sun.
+    veil: share of the light that comes from haze.
     """
 
     ground: ImageArray
@@ -58,6 +53,8 @@ class Landscape:
     poles: Sequence[float]
     crossarm_half_m: float
     sun: Floats
+    towers: TowerKind = TowerKind.WOOD
+    veil: float = 0.0
 
 
 def render(
@@ -77,9 +74,10 @@ def render(
     for tree in _far_to_near(landscape.trees, camera):
         _draw_tree(image, camera, tree, landscape.sun)
     for pole_x in reversed(landscape.poles):
-        _draw_pole(image, camera, pole_x, landscape.crossarm_half_m)
+        draw = draw_pole if landscape.towers == TowerKind.WOOD else draw_tower
+        draw(image, camera, pole_x, landscape.crossarm_half_m)
     put = _draw_conductors if kind == RenderKind.DRAWN else _trace_conductors
-    sharp = put(image, camera, landscape)
+    sharp = put(image, camera, landscape) * (1 - landscape.veil) + landscape.veil * _HAZE
     sigma_px, gain = _SPOILED.get(quality, (0.6, 1.0))
     noise = _NOISE * rng.standard_normal(image.shape, np.float32)
     blurred = gain * cv2.GaussianBlur(sharp, (0, 0), sigma_px)
@@ -138,11 +136,11 @@ def _draw_discs(
     radii_px = radii_m * camera.focal_px / depths
     is_seen = (depths > 1) & _touches(pixels, radii_px + 1, camera.image_size)
     shown = np.flatnonzero(is_seen)[np.argsort(-depths[is_seen])]
-    fixed = np.rint((pixels[shown] - 0.5) * (1 << _SHIFT)).astype(int).tolist()
-    radii = np.rint(radii_px[shown] * (1 << _SHIFT)).astype(int).tolist()
+    fixed = np.rint((pixels[shown] - 0.5) * (1 << SUBPIXEL_BITS)).astype(int).tolist()
+    radii = np.rint(radii_px[shown] * (1 << SUBPIXEL_BITS)).astype(int).tolist()
     paints = np.clip(colours[shown], 0, 255).tolist()
     for centre, radius, paint in zip(fixed, radii, paints, strict=True):
-        cv2.circle(image, centre, radius, paint, -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(image, centre, radius, paint, -1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _touches(pixels: Floats, radii_px: Floats, image_size: tuple[int, int]) -> Mask:
@@ -165,37 +163,8 @@ def _darken(image: ImageArray, shadow: ImageArray) -> None:
 def _draw_pole_shadow(image: ImageArray, camera: SimulatedCamera, x: float, sun: Floats) -> None:
     top = np.array([x, 0, POLE_HEIGHT_M]) - sun * (POLE_HEIGHT_M / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
-    _draw_beam(shadow, camera, np.array([[x, 0, 0], top]), 0.26, _MASK)
+    draw_beam(shadow, camera, np.array([[x, 0, 0], top]), 0.26, _MASK)
     _darken(image, shadow)
-
-
-def _draw_pole(image: ImageArray, camera: SimulatedCamera, x: float, arm_half_m: float) -> None:
-    """Draw a wooden pole with a crossarm."""
-    pole = np.array([[x, 0, 0], [x, 0, POLE_HEIGHT_M]])
-    _draw_beam(image, camera, pole, 0.28, _WOOD)
-    arm = np.array([[x, -arm_half_m, 12.1], [x, arm_half_m, 12.1]])
-    _draw_beam(image, camera, arm, 0.16, _WOOD)
-
-
-def _draw_beam(
-    image: ImageArray,
-    camera: SimulatedCamera,
-    ends: Floats,
-    diameter_m: float,
-    strips: Iterable[tuple[float, float, tuple[int, ...]]],
-) -> None:
-    """Draw a straight beam between two points, lit from one side."""
-    pixels, depths = camera.project(ends)
-    if depths.min() < 1:
-        return
-    along = pixels[1] - pixels[0]
-    across = np.array([-along[1], along[0]]) / max(np.hypot(*along), 1e-6)
-    half_px = diameter_m * camera.focal_px / depths / 2
-    for share, shift, colour in strips:
-        offsets = half_px[:, np.newaxis] * across
-        left, right = pixels + offsets * (2 * shift - share), pixels + offsets * (2 * shift + share)
-        outline = np.rint((np.vstack((left, right[::-1])) - 0.5) * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillPoly(image, [outline], colour, cv2.LINE_AA, _SHIFT)
 
 
 def _trace_conductors(image: ImageArray, camera: SimulatedCamera, landscape: Landscape) -> Floats32:
@@ -233,7 +202,7 @@ def _draw_strokes(fine: ImageArray, pixels: Floats, widths_px: Floats) -> None:
     up *= np.where(up[:, 1:] > 0, -1, 1)
     for share, shift, brightness in _ROUND:
         points = pixels + up * (shift * widths_px)[:, np.newaxis]
-        fixed = np.rint((points - 0.5) * (1 << _SHIFT)).astype(int).tolist()
+        fixed = np.rint((points - 0.5) * (1 << SUBPIXEL_BITS)).astype(int).tolist()
         strokes = np.maximum(np.rint(share * widths_px), 1).astype(int).tolist()
         for first, last, stroke in zip(fixed, fixed[1:], strokes[1:], strict=False):
-            cv2.line(fine, first, last, (brightness, 255), stroke, cv2.LINE_8, _SHIFT)
+            cv2.line(fine, first, last, (brightness, 255), stroke, cv2.LINE_8, SUBPIXEL_BITS)

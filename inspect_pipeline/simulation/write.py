@@ -21,7 +21,7 @@ from inspect_pipeline.geometry.attitude import Quaternion
 from inspect_pipeline.recording.ros2_writer import Ros2Author
 from inspect_pipeline.recording.writer import new_recording
 from inspect_pipeline.simulation.ground import draw_ground, lay_photograph
-from inspect_pipeline.simulation.options import SchemaKind, SimulationOptions
+from inspect_pipeline.simulation.options import SchemaKind, SimulationOptions, WeatherKind
 from inspect_pipeline.simulation.plan import POSE_PERIOD_NS, START_NS, plan_flight
 from inspect_pipeline.simulation.render import Landscape, render
 from inspect_pipeline.simulation.scene import plant_trees
@@ -57,6 +57,12 @@ _TOPICS = {
 }
 _VIEW_M = (-5.0, 75.0)  # extent of the trees behind and ahead of the flight
 _ARM_BEYOND_M = 0.2
+_SUNS = {
+    WeatherKind.CLEAR: (-0.45, -0.5, 0.74),
+    WeatherKind.HAZE: (-0.45, -0.5, 0.74),
+    WeatherKind.LOW_SUN: (-0.8, -0.55, 0.25),
+}
+_VEILS = {WeatherKind.CLEAR: 0.0, WeatherKind.HAZE: 0.45, WeatherKind.LOW_SUN: 0.1}  # of the light
 _JPEG_QUALITY = 92
 
 
@@ -108,7 +114,7 @@ def _fly(author: Author, plan: FlightPlan, truth: FlightTruth) -> None:
 
 def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
     flown_x = [plan.pose(shot.time_ns).position[0] for shot in plan.shots()]
-    sun = np.array([-0.45, -0.5, 0.74])
+    sun = np.array(_SUNS[plan.options.weather])
     sun /= np.linalg.norm(sun)
     return Landscape(
         ground=_make_ground(rng, plan.options.ground),
@@ -117,6 +123,8 @@ def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
         poles=plan.line.structures_x.tolist(),
         crossarm_half_m=plan.line.half_width_m + _ARM_BEYOND_M,
         sun=sun,
+        towers=plan.options.towers,
+        veil=_VEILS[plan.options.weather],
     )
 
 

@@ -44,6 +44,15 @@ class FrameLines:
 
     def merge(self, pieces: Sequence[int], direction: Floats) -> FrameLines:
         """Return one line from the first to the last end point of some pieces along `direction` (2,)."""
+        if len(pieces) == 1:
+            only = slice(pieces[0], pieces[0] + 1)
+            return FrameLines(
+                self.ends[only],
+                self.centres[only],
+                self.angles[only],
+                self.half_lengths[only],
+                self.variances[only],
+            )
         ends = self.ends[pieces].reshape(-1, 2)
         along = ends @ direction
         ends = ends[[along.argmin(), along.argmax()]]

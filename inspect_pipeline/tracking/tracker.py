@@ -12,6 +12,7 @@ algorithm. A track without a line coasts for a while before it ends.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -80,7 +81,7 @@ class _Track:
 
     @property
     def direction(self) -> Floats:
-        return np.array([np.cos(self.angle.value), np.sin(self.angle.value)])
+        return np.array([math.cos(self.angle.value), math.sin(self.angle.value)])
 
     def predict(self, step: Transition) -> None:
         self.angle.predict(step)
@@ -103,9 +104,9 @@ class _Track:
         """Apply one measured line."""
         turn = float(wrap_half_turn(line.angles[0] - self.angle.value))
         angle_var, offset_var = line.variances[0].tolist()
-        x, y = self.direction
-        difference = line.centres[0] - self.centre
-        along_px, across_px = float(difference @ (x, y)), float(difference @ (-y, x))
+        x, y = self.direction.tolist()
+        right, down = (line.centres[0] - self.centre).tolist()
+        along_px, across_px = right * x + down * y, down * x - right * y
         # An error of the angle shifts the line in proportion to the distance along it.
         lever_var = along_px**2 * self.angle.value_var
         self.angle.update(turn, angle_var)
@@ -117,12 +118,13 @@ class _Track:
         self.n_missed = 0
         self.n_frames += 1
         self.last = frame
-        x, y = self.direction
-        self.sums += (score, self.angle.value, float(self.centre @ (-y, x)))
+        x, y = self.direction.tolist()
+        right, down = self.centre.tolist()
+        self.sums += (score, self.angle.value, down * x - right * y)
 
     def _apply_offset(self) -> None:
-        x, y = self.direction
-        self.centre = self.centre + self.offset.value * np.array([-y, x])
+        angle, offset = self.angle.value, self.offset.value
+        self.centre = self.centre + np.array([-offset * math.sin(angle), offset * math.cos(angle)])
         self.offset.value = 0.0
 
     def has_ended(self, time_ns: int) -> bool:

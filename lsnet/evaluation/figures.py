@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from lsnet.arrays import FloatImage, Floats, ImageArray, Mask
+    from lsnet.arrays import FloatImage, Floats, ImageArray, Mask, Rng
     from lsnet.evaluation.paper import PixelClassifier
     from lsnet.evaluation.pixels import LineDetector
 
@@ -33,6 +33,7 @@ CAPTION_PX, GAP_PX = 20, 4
 FOUND = np.array([255, 40, 200], np.uint8)  # RGB of what is found or true
 GRIDS_SHOWN = ("M", "MH", "MVH", "MHVC")
 SHOWN_WIDTH_PX = 5  # of segments in the figure of the grids, as in the paper
+TRIALS = 30
 PHOTOS = 128  # at most, of the folders of backgrounds
 
 
@@ -111,7 +112,7 @@ def augmentation_panels(backgrounds: Sequence[str], size: int, seed: int) -> lis
         points = np.round(line).astype(np.int32)[:, None]
         cv2.polylines(annotation, [points], isClosed=False, color=(255, 255, 255), thickness=2)
     replaced, _ = drawn(pool.sample(rng, size))
-    cropped = flip(*crop(*drawn(pool.sample(rng, size)), rng), rng)[0]
+    cropped = _crop_with_line(*drawn(pool.sample(rng, size)), rng)
     shown = {name: getattr(augment, name)(image, rng) for name in ("gaussian_noise", "gaussian_blur", "hue")}
     panels = [
         ("original", image),
@@ -125,6 +126,16 @@ def augmentation_panels(backgrounds: Sequence[str], size: int, seed: int) -> lis
     ]
     images = [(name, to_uint8(np.asarray(panel, np.float32))) for name, panel in panels]
     return [images[:4], images[4:]]
+
+
+def _crop_with_line(image: FloatImage, lines: list[Floats], rng: Rng) -> FloatImage:
+    """Return a random crop, flipped: of some the first in which a line runs, else the last."""
+    for _ in range(TRIALS):
+        part, moved = flip(*crop(image, lines, rng), rng)
+        points = np.concatenate(moved)
+        if ((points > 0) & (points < np.array(part.shape[1::-1]))).all(axis=1).any():
+            break
+    return part
 
 
 def marked(image: ImageArray, mask: Mask) -> ImageArray:

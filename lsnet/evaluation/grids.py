@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,3 +45,26 @@ class OnlyGrids:
         for row, column in (GRIDS[grid] for grid in self._grids):
             kept[row::2, column::2] = scores[row::2, column::2]
         return kept
+
+
+class Remembered:
+    """A backend that runs each image once, for detectors with different grids that share it."""
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self._maps: dict[bytes, Maps] = {}
+        self.name, self.precision, self.threads = backend.name, backend.precision, backend.threads
+        self.n_calls, self.n_images = backend.n_calls, backend.n_images
+
+    def run(self, images: Sequence[ImageArray]) -> list[Maps]:
+        """Return the raw maps of each image, in order."""
+        keys = [_key(image) for image in images]
+        new = {key: image for key, image in zip(keys, images, strict=True) if key not in self._maps}
+        self._maps.update(zip(new, self._backend.run(list(new.values())), strict=True))
+        return [self._maps[key] for key in keys]
+
+
+def _key(image: ImageArray) -> bytes:
+    digest = hashlib.sha256(repr(image.shape).encode())
+    digest.update(np.ascontiguousarray(image).tobytes())
+    return digest.digest()

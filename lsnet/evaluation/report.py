@@ -14,7 +14,7 @@ from lsnet.evaluation.baselines.lsd import LSD
 from lsnet.evaluation.baselines.mlsd import MLSD
 from lsnet.evaluation.cables import evaluate_cables
 from lsnet.evaluation.datasets import images_of
-from lsnet.evaluation.grids import OnlyGrids
+from lsnet.evaluation.grids import OnlyGrids, Remembered
 from lsnet.evaluation.paper import PaperProtocol, evaluate_as_paper, evaluate_pixels_as_paper
 from lsnet.evaluation.pixels import evaluate
 from lsnet.evaluation.rasterize import SIGMA_PX
@@ -113,7 +113,7 @@ def open_grids(weights: str, runtime: str) -> Callable[[str], Detector]:
         LSNetError: The weights or the runtime cannot be used.
     """
     file = read_weights(weights)
-    backend = open_backend(file, runtime)
+    backend = Remembered(open_backend(file, runtime))
     return lambda grids: Detector(file, OnlyGrids(backend, grids), file.card.scale, min_score=0.05)
 
 

@@ -8,6 +8,8 @@ from queue import Empty, SimpleQueue
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from lsnet.runtime.choice import import_openvino, openvino_core
 from lsnet.runtime.networks import convert_network, read_network
 
@@ -52,7 +54,7 @@ class OpenVinoBackend:
             max_pixels: Pixels that run at once.
             threads: Default: one per core.
         """
-        import_openvino()
+        _prepare_tensors()
         self._model, self.precision, self._max_pixels = model, precision, max_pixels
         self.threads = self.n_calls = threads or len(os.sched_getaffinity(0))
         self._compiled: OrderedDict[tuple[int, int], _Compiled] = OrderedDict()
@@ -84,7 +86,8 @@ class OpenVinoBackend:
         for i, image in enumerate(images):
             idle = self._compiled_for(*image.shape[:2]).idle
             request = self._take(idle, running, results)
-            request.start_async({0: image[None]}, share_inputs=True)
+            with self._lock:
+                request.start_async({0: image[None]}, share_inputs=True)
             running.append(_Running(request, idle, i, image))
         while running:
             _finish(running.popleft(), results)
@@ -126,6 +129,15 @@ class OpenVinoBackend:
         for _ in range(streams):
             idle.put(compiled.create_infer_request())
         return _Compiled(idle, streams * height * width)
+
+
+def _prepare_tensors() -> None:
+    """Make a tensor of an array, and an array of it.
+
+    OpenVINO initialises its use of NumPy at the first of each, and deadlocks when two threads do it at once:
+    one waits for the lock of the interpreter, the other for the end of the initialisation.
+    """
+    _ = import_openvino().Tensor(np.zeros((1, 1, 1, 3), np.uint8), shared_memory=True).data
 
 
 def _finish(one: _Running, results: list[Any]) -> None:

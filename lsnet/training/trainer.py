@@ -14,7 +14,6 @@ from dataclasses import asdict, replace
 from functools import reduce
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 
 from lsnet.errors import LSNetError
@@ -132,17 +131,19 @@ class Trainer:
 
     def _epoch(self, batches: Iterator[Batch]) -> Iterator[TrainingProgress]:
         """Train on the batches; yield progress every 50 steps and before each validation."""
-        totals, count, clock = np.zeros(3), 0, time.monotonic()
+        totals, count, clock = torch.zeros(3, device=self.device), 0, time.monotonic()
         for batch in batches:
             losses = self._train_step(batch)
-            totals += [float(part.detach()) for part in losses]
+            totals += torch.stack(
+                [part.detach() for part in losses]
+            )  # not read at each step: a GPU would wait
             count += 1
             if self.step % 50 and not self._is_validation_due():
                 continue
             rate = count * self.config.batch_size / (time.monotonic() - clock)
-            mean = totals / count
-            yield TrainingProgress(self.step, self.config.steps, mean[0], mean[1], mean[2], rate)
-            totals, count, clock = np.zeros(3), 0, time.monotonic()
+            loss, cells, ends = (totals / count).tolist()
+            yield TrainingProgress(self.step, self.config.steps, loss, cells, ends, rate)
+            totals, count, clock = torch.zeros(3, device=self.device), 0, time.monotonic()
 
     def _is_validation_due(self) -> bool:
         return self.step % self.config.validate_every == 0 or self.step == self.config.steps

@@ -198,8 +198,10 @@ def attack_output(rng: Generator, folder: Path, templates: Templates) -> Attack:
             return "the FIFO was replaced"
         if kind in {"link", "loop"} and not target.is_symlink():
             return "the link was replaced"
-        if exit_code == 0 and kind != "fifo" and not (folder / "work" / name).is_file():
-            return "no file"
+        if exit_code == 0 and kind != "fifo":
+            written = folder / "work" / name
+            has_files = written.is_dir() and any(written.iterdir())  # overlay fills folders
+            return None if written.is_file() or has_files else "no file"
         return None
 
     store = ["--store", str(templates.store)]

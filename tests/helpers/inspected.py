@@ -111,6 +111,6 @@ def _to_detections(frame: FrameTruth, rng: np.random.Generator | None) -> Detect
 
 def _to_place(frame: FrameTruth) -> FramePose:
     names = ("lat_deg", "lon_deg", "alt_m", "height_m", "heading_deg", "cam_roll_deg", "cam_pitch_deg")
-    told = {name: getattr(frame, name) for name in (*names, "cam_yaw_deg", "pose_age_ms", "focal_px")}
-    place = FramePose(**told, attitude_source="camera")
+    columns = {name: getattr(frame, name) for name in (*names, "cam_yaw_deg", "pose_age_ms", "focal_px")}
+    place = FramePose(**columns, attitude_source="camera")
     return place if frame.pose_age_ms is not None else replace(place, pose_age_ms=None)

@@ -6,6 +6,7 @@ import base64
 import hashlib
 from html.parser import HTMLParser
 
+HOSTILE = "<script>alert(1)</script>\x1b[31m\"'&\u202e"
 _VOID = {"meta", "br", "img", "link", "input", "hr"}
 
 

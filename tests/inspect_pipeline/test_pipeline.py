@@ -223,14 +223,14 @@ def test_the_store_cannot_be_made(tmp_path: Path) -> None:
         run(make_recording(tmp_path / "a.mcap", shots(1)), Store(tmp_path / "store"))
 
 
-def test_batches_are_small_and_progress_is_told(tmp_path: Path, store: Store) -> None:
-    path, detector, told = make_recording(tmp_path / "a.mcap", shots(20)), FakeDetector(), []
+def test_batches_are_small_and_progress_is_reported(tmp_path: Path, store: Store) -> None:
+    path, detector, reports = make_recording(tmp_path / "a.mcap", shots(20)), FakeDetector(), []
     options = ProcessOptions()
-    process(path, store, detector, options, start_run(detector, options), on_progress=told.append)
+    process(path, store, detector, options, start_run(detector, options), on_progress=reports.append)
     assert sum(detector.batch_sizes) == 20
     assert max(detector.batch_sizes) <= 4
-    assert told[-1] == Progress(20, 20)
-    assert all(a.n_frames < b.n_frames for a, b in pairwise(told))
+    assert reports[-1] == Progress(20, 20)
+    assert all(a.n_frames < b.n_frames for a, b in pairwise(reports))
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_angle_between_by_hand(a: float, b: float, between: float) -> None:
 def test_clip_agrees_with_dense_sampling(
     segment: tuple[float, ...], corner: tuple[int, int], side: int
 ) -> None:
-    # A hair outside the box is for the function to tell, not for sums of floats.
+    # Points within rounding errors of the border are decided by the function, not here.
     segment = tuple(round(value * 64) / 64 for value in segment)
     (x, y), t = corner, np.linspace(0, 1, 4001)
     xs, ys = segment[0] + t * (segment[2] - segment[0]), segment[1] + t * (segment[3] - segment[1])

@@ -43,7 +43,7 @@ TIMEOUT_S = 120
 
 
 class Disk:
-    """What faults.so is told, and what it tells."""
+    """Write the settings of faults.so, and read its report."""
 
     def __init__(self, path: str) -> None:
         with Path(path).open("r+b") as file:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def profile(on_step: Callable[[str], object]) -> Callable[[Any, str, Any], None]:
-    """A profiler that tells the names of the program's functions before they are run."""
+    """Report the names of the program's functions before they are run."""
 
     def look(frame: Any, event: str, _argument: Any) -> None:
         module, name = frame.f_globals.get("__name__", ""), frame.f_code.co_qualname
@@ -38,7 +38,7 @@ def profile(on_step: Callable[[str], object]) -> Callable[[Any, str, Any], None]
 
 
 def watch(on_step: Callable[[str], object]) -> None:
-    """Have all threads that begin from now on, and this one, tell their steps."""
+    """Profile this thread and all that start from now on."""
     threading.setprofile(profile(on_step))
     sys.setprofile(profile(on_step))
 
@@ -91,8 +91,8 @@ def main() -> None:
             print(where, file=sys.stderr)
             raise
         shutil.rmtree(store.root)
-    told = {"n_steps": len(names), "n_states": len(set(states)), "n_kills": len(moments)}
-    print(json.dumps({**told, "names": sorted({name.rsplit(":", 1)[1] for name in names})}))
+    report = {"n_steps": len(names), "n_states": len(set(states)), "n_kills": len(moments)}
+    print(json.dumps({**report, "names": sorted({name.rsplit(":", 1)[1] for name in names})}))
 
 
 if __name__ == "__main__":

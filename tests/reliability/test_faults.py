@@ -48,7 +48,7 @@ def test_a_disk_that_fails(library: Path, tmp_path: Path, command: str, how: str
     """full: no change is possible from then on; broken: one fails; short: half of one is written."""
     control = tmp_path / "control"
     control.write_bytes(bytes(32))
-    told = _run(
+    report = _run(
         "fault_runs.py",
         tmp_path,
         command,
@@ -58,26 +58,26 @@ def test_a_disk_that_fails(library: Path, tmp_path: Path, command: str, how: str
         FAULT_ROOT=tmp_path / "stores",
         FAULT_CONTROL=control,
     )
-    n_changes, n_met = told.pop("n_changes"), sum(n for ending, n in told.items() if ending != "not met")
-    print(f"{command}, {how}: {n_changes} changes, {n_met} of them failed: {told}")
+    n_changes, n_met = report.pop("n_changes"), sum(n for ending, n in report.items() if ending != "not met")
+    print(f"{command}, {how}: {n_changes} changes, {n_met} of them failed: {report}")
     assert n_changes > (10 if how == "short" else 50)
     assert n_met > n_changes // step - 10
-    assert how == "short" or told["exit code 1"] > 0
+    assert how == "short" or report["exit code 1"] > 0
 
 
 @pytest.mark.parametrize("command", ["process", "batch"])
 @pytest.mark.parametrize("step", [9, pytest.param(1, marks=pytest.mark.slow)])
 def test_killed_at_every_named_step(tmp_path: Path, command: str, step: int) -> None:
     """Steps are the calls of the program's functions; those that leave the same on the disk are one."""
-    told = _run("step_runs.py", tmp_path, command, step)
-    print(f"{command}: {told['n_steps']} steps, {told['n_states']} states, {told['n_kills']} kills")
+    report = _run("step_runs.py", tmp_path, command, step)
+    print(f"{command}: {report['n_steps']} steps, {report['n_states']} states, {report['n_kills']} kills")
     wanted = {"open_recording", "Store.write_flight", "Staging.commit", "move_folder_into_place", "publish"}
-    assert wanted <= set(told["names"])
-    assert told["n_kills"] > 60 // step
+    assert wanted <= set(report["names"])
+    assert report["n_kills"] > 60 // step
 
 
 def _run(script: str, *arguments: object, **environment: object) -> dict[str, Any]:
-    """What a script tells."""
+    """Return the report that a script prints."""
     folders = os.pathsep.join(map(str, (HELPERS / "light", HERE.parents[1], HELPERS)))
     done = subprocess.run(
         [sys.executable, HERE / script, *map(str, arguments)],

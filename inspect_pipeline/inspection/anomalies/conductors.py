@@ -7,6 +7,7 @@ parabola over the whole span is taken as sag, any other shape as a change across
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from inspect_pipeline.inspection.rows import find_runs
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.arrays import Floats, Ints
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.conductors.fit import ConductorFit
     from inspect_pipeline.inspection.rules import Rules
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
 _MIN_APART = 2.0  # times aligned_px: nearer conductors are not compared
+_MEDIAN_TO_SD = 1.4826
 _MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
 MIN_SAGS = 3  # conductors whose sag is compared
 
@@ -185,7 +187,8 @@ def find_sag_changes(
     usual_m = float(np.median([fit.place.sag_m for *_, fit in measured]))
     number, track, outlier = max(measured, key=lambda each: abs(each[-1].place.sag_m - usual_m))
     difference_m = outlier.place.sag_m - usual_m
-    limit_m = max(limits["min_difference_m"], _MIN_SIGNIFICANCE * outlier.sd[2])
+    spread_m = float(np.median([abs(fit.place.sag_m - usual_m) for *_, fit in measured])) * _MEDIAN_TO_SD
+    limit_m = max(limits["min_difference_m"], _MIN_SIGNIFICANCE * max(outlier.sd[2], spread_m))
     if abs(difference_m) < limit_m or outlier.misfit_m > limits["max_misfit_m"]:
         return
     word = "lower" if difference_m > 0 else "higher"
@@ -205,14 +208,13 @@ def find_sag_changes(
         )
 
 
-def compared_bins(one: SpanEvidence, conductors: Sequence[SpanConductor], rules: Rules) -> Mask:
-    """Return the bins (B,) within the stretches along which the distance of two conductors is known."""
+def compared_share(one: SpanEvidence, conductors: Sequence[SpanConductor], rules: Rules) -> Floats:
+    """Return the share (B,) of neighbouring conductors whose distance is known along a stretch."""
     n_bins, limits = len(one.axis.centres), rules.of("conductors_converging")
-    compared = np.zeros(n_bins, bool)
-    for i, first in enumerate(conductors):
-        for second in conductors[i + 1 :]:
-            apart_m = _distances_m(first, second, one, rules)
-            for known in _smooth_runs(apart_m, limits["max_slope"] * one.axis.bin_m):
-                if len(known) * one.axis.bin_m >= 2 * limits["min_length_m"]:
-                    compared[known[0] : known[-1] + 1] = True
-    return compared
+    compared = np.zeros(n_bins)
+    for first, second in pairwise(conductors):
+        apart_m = _distances_m(first, second, one, rules)
+        for known in _smooth_runs(apart_m, limits["max_slope"] * one.axis.bin_m):
+            if len(known) * one.axis.bin_m >= 2 * limits["min_length_m"]:
+                compared[known[0] : known[-1] + 1] += 1
+    return compared / max(len(one.places) - 1, 1)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inspect_pipeline.geometry.camera import camera_axes
 from inspect_pipeline.inspection.anomalies.frames import Finding
 from inspect_pipeline.inspection.lines import confirmed_lines
 from inspect_pipeline.inspection.rows import NO_TRACK
@@ -13,8 +14,8 @@ from inspect_pipeline.inspection.rows import NO_TRACK
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from inspect_pipeline.arrays import Floats, Mask
-    from inspect_pipeline.inspection.rows import CameraRows, FrameQuality, LineRows
+    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.inspection.rows import CameraRows, FrameQuality, FrameRows, LineRows
     from inspect_pipeline.inspection.rules import Rules
 
 
@@ -65,8 +66,9 @@ def find_orientation_jumps(camera: CameraRows, quality: FrameQuality, rules: Rul
     offsets, angles = _normal_forms(camera)
     bounds = np.searchsorted(lines.frame, np.arange(len(frames) + 1))
     rows = np.flatnonzero(quality.usable)
-    for before, after in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
-        if after - before > _MAX_PAUSE_FRAMES:
+    turned_deg = _recorded_turns(frames, rows)
+    for before, after, own_deg in zip(rows[:-1].tolist(), rows[1:].tolist(), turned_deg, strict=True):
+        if after - before > _MAX_PAUSE_FRAMES or own_deg >= limits["min_jump_deg"] / 2:
             continue
         a, b = (slice(bounds[row], bounds[row + 1]) for row in (before, after))
         turn_deg, n_turned, n_kept = _best_turn(offsets[a], angles[a], offsets[b], angles[b])
@@ -76,6 +78,16 @@ def find_orientation_jumps(camera: CameraRows, quality: FrameQuality, rules: Rul
             shown = np.array([before, after])
             limit = limits["min_jump_deg"]
             yield Finding("orientation_jump", shown, reason, abs(turn_deg), limit, "deg")
+
+
+def _recorded_turns(frames: FrameRows, rows: Ints) -> list[float]:
+    """Return by how many degrees the recorded attitude turned between frames (N - 1), 0 where unknown."""
+    turns = np.column_stack((frames.cam_yaw_deg, frames.cam_pitch_deg, frames.cam_roll_deg))[rows]
+    axes = camera_axes(np.nan_to_num(turns))
+    cosines = (np.einsum("nij,nij->n", axes[:-1], axes[1:]) - 1) / 2
+    known = np.isfinite(turns).all(axis=1) & frames.is_turn_known[rows]
+    degrees = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    return [float(one) for one in np.where(known[:-1] & known[1:], degrees, 0.0)]
 
 
 def _normal_forms(camera: CameraRows) -> tuple[Floats, Floats]:

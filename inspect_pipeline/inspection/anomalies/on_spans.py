@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.inspection.anomalies.conductors import (
-    compared_bins,
+    compared_share,
     find_converging,
     find_sag_changes,
     measure_conductors,
     measured_fits,
 )
 from inspect_pipeline.inspection.anomalies.spans import (
+    doubt_rare,
     find_count_changes,
     inner_bins,
     missing_conductors,
@@ -33,7 +34,7 @@ from inspect_pipeline.inspection.judgement import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from inspect_pipeline.arrays import Floats, Mask
+    from inspect_pipeline.arrays import Floats
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.anomalies.conductors import SpanConductor
     from inspect_pipeline.inspection.anomalies.frames import Finding
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
-_HIDDEN_SHARE = 0.5  # of the frames that show a bin, from which on its conductor is hidden by another
+_HIDDEN_SHARE = 0.5  # of the views of a bin, from which on its conductor is hidden by another
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,7 @@ def find_on_spans(
     channel_id: int, evidence: Sequence[SpanEvidence], origin: LocalMetres, rules: Rules
 ) -> ConductorFindings:
     """Apply all rules about conductors to the spans near the path of a camera."""
+    evidence = doubt_rare(evidence, rules)
     usual = usual_count(evidence, rules)
     findings: list[Finding] = []
     outcomes: list[SpanOutcomes] = []
@@ -90,7 +92,7 @@ def _outcomes(
     if len(one.places) < expected and not len(missing_conductors(one, rules)):
         # One that no span shows: missing everywhere, or always behind another.
         counted = _move(shares, JUDGED, ALIGNED)
-    has_sag = np.full(len(shares), bool(measured_fits(conductors, rules)))
+    has_sag = np.full(len(shares), len(measured_fits(conductors, rules)) / max(len(one.places), expected, 1))
     return SpanOutcomes(
         one.axis,
         {
@@ -98,7 +100,7 @@ def _outcomes(
             "conductor_lost": shares,
             "conductor_gap": shares,
             "sag_change": _measured(shares, has_sag),
-            "conductors_converging": _measured(shares, compared_bins(one, conductors, rules)),
+            "conductors_converging": _measured(shares, compared_share(one, conductors, rules)),
         },
     )
 
@@ -121,12 +123,12 @@ def _count_outcomes(one: SpanEvidence, expected: int) -> Floats:
     return shares
 
 
-def _measured(shares: Floats, mask: Mask) -> Floats:
-    """Return all of a bin as judged where `mask` (B,); else what was counted is not measured."""
-    measured = _move(shares, JUDGED, NOT_MEASURED)
-    measured[mask] = 0.0
-    measured[mask, JUDGED] = 1.0
-    return measured
+def _measured(shares: Floats, measured: Floats) -> Floats:
+    """Return the shares of a rule that measures conductors, those `measured` (B,) as judged."""
+    judged = np.clip(measured, 0, 1)[:, np.newaxis]
+    rest = _move(shares, JUDGED, NOT_MEASURED) * (1 - judged)
+    rest[:, JUDGED] = judged[:, 0]
+    return rest
 
 
 def _move(shares: Floats, source: int, target: int) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,6 +55,24 @@ def missing_conductors(one: SpanEvidence, rules: Rules) -> Ints:
     return np.flatnonzero(is_long & (n_absent >= limits["min_share"] * n_known))
 
 
+def doubt_rare(evidence: Sequence[SpanEvidence], rules: Rules) -> list[SpanEvidence]:
+    """Return the evidence without what it says of conductors that more spans lack than have.
+
+    Such a place is more likely a mistake than a conductor.
+    """
+    missing = Counter(number for one in evidence for number in missing_conductors(one, rules).tolist())
+    present = Counter(
+        number for one in evidence for number in np.flatnonzero(_has_conductors(one, rules)).tolist()
+    )
+    rare = [number for number in missing if missing[number] > present[number]]
+    doubted = []
+    for one in evidence:
+        states = one.states.copy()
+        states[[number for number in rare if number < len(states)]] = UNKNOWN
+        doubted.append(replace(one, states=states))
+    return doubted
+
+
 def find_count_changes(
     one: SpanEvidence, expected: int, origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
@@ -88,7 +108,7 @@ def _find_deficits(
         if is_at_end and not _is_end_certain(one, number, bins, rules):
             continue
         kind = "conductor_lost" if is_at_end else "conductor_gap"
-        limit_m = rules.of(kind)["min_length_m"]
+        limit_m = rules.of(kind)["min_length_m"] + one.sight.widened_bins * bin_m
         if length_m < limit_m:
             continue
         start_m = one.axis.bins_m[bins[0]] - bin_m / 2

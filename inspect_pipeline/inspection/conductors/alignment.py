@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d
 
 if TYPE_CHECKING:
@@ -130,9 +131,10 @@ def _fit_round(soft: Floats, chosen: Ints, shown: Sequence[int], steps: Ints, pe
         return np.roll(soft[i, chosen[i, 0]], chosen[i, 1])
 
     total = np.sum([placed(i) for i in shown], axis=0)
+    shifted = np.arange(steps[0], steps[-1] + len(total))  # of all windows, one after the other
     for i in shown:
         total -= placed(i)
-        windows = np.stack([np.roll(total, -step) for step in steps.tolist()])
+        windows = sliding_window_view(total.take(shifted, mode="wrap"), len(total))
         agreement = soft[i] @ windows.T
         scores = agreement / max(float(agreement.max()), 1e-12) - penalties
         scale, step = np.unravel_index(np.argmax(scores), scores.shape)

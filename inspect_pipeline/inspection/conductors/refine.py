@@ -55,7 +55,7 @@ def refine(
         sights = [_apply(one, found) for one, found in zip(raw, corrections, strict=True)]
         places = [_fit(k, place, sights, matches) for k, place in enumerate(places)]
         places = _centre(_merge(places, sights), sights)
-    return [_with_noise(one, places) for one in sights], places
+    return [_with_noise(one, places, float(sd[0])) for one in sights], places
 
 
 def _first_sd(raw: Sequence[SpanSight], aligned: Sequence[SpanSight]) -> Floats:
@@ -68,15 +68,16 @@ def _first_sd(raw: Sequence[SpanSight], aligned: Sequence[SpanSight]) -> Floats:
     return np.asarray(np.maximum(share * _MOST_SD, 2 * _LEAST_SD))
 
 
-def _with_noise(sight: SpanSight, places: Sequence[Place]) -> SpanSight:
-    """Return the sight with the noise of its crossings measured."""
+def _with_noise(sight: SpanSight, places: Sequence[Place], shift_sd_m: float) -> SpanSight:
+    """Return the sight with the noise of its crossings and positions."""
     found = _match(sight, places)
     away = [
         np.abs(sight.view.across_m[rows] - predict_across(sight, rows, place)[0])
         for k, place in enumerate(places)
         if len(rows := found.rows[found.places == k])
     ]
-    return replace(sight, noise_m=_MEDIAN_TO_SD * float(np.median(np.concatenate(away)))) if away else sight
+    noise_m = _MEDIAN_TO_SD * float(np.median(np.concatenate(away))) if away else sight.noise_m
+    return replace(sight, noise_m=noise_m, shift_sd_m=shift_sd_m)
 
 
 def _match(sight: SpanSight, places: Sequence[Place]) -> _Matches:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.span_view import SpanAxis, SpanView
 
 _STEP_M = 0.1
+_WIDEN_SD = 1.5  # of errors of positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class SpanSight:
     positions of the camera along and to the left. above_m (N, B): heights of the camera above the nominal
     conductor. scale_px (N, B): pixels per metre across, perpendicular to the span in the image. gsd_m (N, B):
     metres per pixel. shown, coarse (N, B): where a frame shows a bin, and where too coarsely. noise_m:
-    standard deviation of crossings about the places of conductors.
+    standard deviation of crossings about the places of conductors. shift_sd_m: of errors of positions.
     """
 
     axis: SpanAxis
@@ -43,6 +44,12 @@ class SpanSight:
     shown: Mask
     coarse: Mask
     noise_m: float = 0.1
+    shift_sd_m: float = 0.1
+
+    @property
+    def widened_bins(self) -> int:
+        """By how many bins errors of positions blur each end of a stretch without a conductor."""
+        return round(_WIDEN_SD * self.shift_sd_m / self.axis.bin_m)
 
     @property
     def fine(self) -> Mask:

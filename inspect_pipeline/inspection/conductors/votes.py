@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from inspect_pipeline.inspection.span_view import visible_gsd_m
 
@@ -85,7 +86,15 @@ def count_votes(sight: SpanSight, places: Sequence[Place], rules: Rules) -> Vote
     weight *= np.where(in_frame, 1.0, _MISSED_WEIGHT)[:, :, np.newaxis]
     weight[_share_found(in_frame, says) < _MIN_FOUND] = 0.0
     hidden = np.asarray(visible & ~says).sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
-    return Votes(owner, in_frame, weight, np.where(present, 0.0, weight), hidden)
+    absent = _widen(~present & visible, sight.widened_bins)
+    return Votes(owner, in_frame, weight, np.where(absent, weight, 0.0), hidden)
+
+
+def _widen(absent: Mask, n_bins: int) -> Mask:
+    """Return absent stretches (N, K, B) widened at both ends, by as much as errors of positions blur them."""
+    if not n_bins:
+        return absent
+    return np.asarray(maximum_filter1d(absent, 2 * n_bins + 1, axis=2, mode="constant"))
 
 
 def _appear(sight: SpanSight, places: Sequence[Place]) -> Floats:

@@ -31,9 +31,9 @@ class MLSD:
 
     min_score: ClassVar[float] = 0.5  # 69 px
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, precision: str = "f32") -> None:
         """Load the file. Raises LSNetError when it cannot be read or OpenVINO is not installed."""
-        core, options = openvino_core(), {"INFERENCE_PRECISION_HINT": "f32"}
+        core, options = openvino_core(), {"INFERENCE_PRECISION_HINT": precision}
         try:
             self._model = core.compile_model(str(path), "CPU", options)
         except RuntimeError as err:

@@ -11,7 +11,7 @@ from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lsnet.errors import LSNetError
-from lsnet.evaluation.compare.compare import detector_of
+from lsnet.evaluation.compare.compare import grids_of
 from lsnet.evaluation.compare.trainings import Trainings, Variant
 from lsnet.evaluation.paper import ABLATED, PaperProtocol, evaluate_as_paper
 from lsnet.network_config import PRESETS, LSNetConfig
@@ -143,18 +143,19 @@ def _score(trainings: Trainings, network: LSNetConfig, method: Method, seed: int
         with_options(MultiTaskLoss(), [method.loss] if method.loss else []),
     )
     sets = trainings.comparison.sets
+    # LS-Net itself is scored with all combinations of its grids at once.
+    shown = [m.grids for m in ABLATIONS["grids"]] if task == LSNetTask(network) else [method.grids]
 
     def score(net: nn.Module) -> dict[str, Any]:
-        return ablated_scores(lambda grids: detector_of(net, grids), sets, method.grids)
+        open_grids = grids_of(net)
+        return {grids: ablated_scores(open_grids(grids), sets) for grids in shown}
 
-    return trainings.score(Variant(method.name, task, seed), f"ablation {method.grids}", score).scores
+    scores = trainings.score(Variant(method.name, task, seed), "ablation", score).scores
+    found: dict[str, list[float]] = scores[method.grids]
+    return found
 
 
-def ablate_grids(
-    open_grids: Callable[[str], LineDetector],
-    sets: Sequence[Path],
-    on_image: Callable[[], None] = lambda: None,
-) -> list[AblationRow]:
+def ablate_grids(open_grids: Callable[[str], LineDetector], sets: Sequence[Path]) -> list[AblationRow]:
     """Return the ablation of the grids for weights that are trained; `open_grids` opens their detector.
 
     Raises:
@@ -162,21 +163,16 @@ def ablate_grids(
     """
     rows = []
     for method in ABLATIONS["grids"]:
-        scores = ablated_scores(open_grids, sets, method.grids, on_image)
+        scores = ablated_scores(open_grids(method.grids), sets)
         rows += [AblationRow("grids", method.name, str(f), [scores[str(f)]], method.published) for f in sets]
     return rows
 
 
-def ablated_scores(
-    open_grids: Callable[[str], LineDetector],
-    sets: Sequence[Path],
-    grids: str,
-    on_image: Callable[[], None] = lambda: None,
-) -> dict[str, list[float]]:
+def ablated_scores(detector: LineDetector, sets: Sequence[Path]) -> dict[str, list[float]]:
     """Return APR, ARR and F1 by set, 1 px wide from score 0.5. Raises LSNetError for a set without truth."""
     found = {}
     for folder in sets:
-        scores = evaluate_as_paper(open_grids(grids), folder, PaperProtocol(ABLATED), on_image)
+        scores = evaluate_as_paper(detector, folder, PaperProtocol(ABLATED))
         if not scores:
             raise LSNetError(f"{folder}: has no pixel truth; give folders with masks or boundaries")
         found[str(folder)] = [scores[0].apr, scores[0].arr, scores[0].f1]

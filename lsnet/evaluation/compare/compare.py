@@ -12,7 +12,7 @@ import torch
 from lsnet.detector import Detector
 from lsnet.errors import LSNetError
 from lsnet.evaluation.compare.trainings import Result, Trainings, Variant
-from lsnet.evaluation.grids import OnlyGrids
+from lsnet.evaluation.grids import OnlyGrids, Remembered
 from lsnet.evaluation.pixels import PixelReport, evaluate
 from lsnet.evaluation.speed import least_cpu_ms
 from lsnet.model import LSNet
@@ -24,7 +24,7 @@ from lsnet.weights import Weights
 from lsnet.weights_file import WeightsCard
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from torch import nn
@@ -89,18 +89,19 @@ def cpu_ms_of(network: LSNetConfig) -> dict[str, float]:
 def ods(net: nn.Module, sets: Sequence[Path]) -> dict[str, float]:
     """Return the ODS at 1 px of the raw segments of a network, by set."""
     found = {}
+    detector = grids_of(net)("MHVC")
     for folder in sets:
-        (report,) = evaluate(detector_of(net), folder, min_score=0.5, tolerances_px=(1.0,))
+        (report,) = evaluate(detector, folder, min_score=0.5, tolerances_px=(1.0,))
         if not isinstance(report, PixelReport):
             raise LSNetError(f"{folder}: has no pixel truth; give folders with masks or boundaries")
         found[str(folder)] = report.ods.f1
     return found
 
 
-def detector_of(net: nn.Module, grids: str = "MHVC", min_score: float = 0.05) -> Detector:
-    """Return a detector around a network in memory, with some of its grids."""
+def grids_of(net: nn.Module) -> Callable[[str], Detector]:
+    """Return a function that opens a detector around a network in memory, with some of its grids."""
     if not isinstance(net, LSNet):
         raise LSNetError("only LS-Net reports segments")
-    card = WeightsCard("compared", "compared", net.config, min_score=0.5)
-    backend = OnlyGrids(TorchBackend(net), grids)
-    return Detector(Weights(net, card, ""), backend, scale=None, min_score=min_score)
+    weights = Weights(net, WeightsCard("compared", "compared", net.config, min_score=0.5), "")
+    backend = Remembered(TorchBackend(net))
+    return lambda grids: Detector(weights, OnlyGrids(backend, grids), scale=None, min_score=0.05)

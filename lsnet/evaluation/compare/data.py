@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
-from lsnet.errors import LSNetError
 from lsnet.files import make_folder
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import Sample, SyntheticScenes
@@ -46,15 +45,10 @@ def draw_set(
 
     Raises:
         LSNetError: A background folder (DIR or DIR:FIRST) has no images, or the set's folder cannot be
-            created or has too few images.
+            created.
     """
     make_folder(folder)
-    if (folder / LINES_FILE).exists():
-        existing = len(np.load(folder / IMAGES_FILE, mmap_mode="r"))
-        if existing < count:
-            raise LSNetError(
-                f"{folder}: holds {existing} synthetic images, not {count}; give another run folder"
-            )
+    if (folder / LINES_FILE).exists():  # written last
         return
     scenes = SyntheticScenes(
         BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds]), DRAWN_PX, seed

@@ -14,7 +14,7 @@ from lsnet.evaluation.baselines.learned import RIVALS, LearnedRival, rival_task
 from lsnet.evaluation.baselines.lsd import LSD
 from lsnet.evaluation.baselines.wsl_cnn import WSLCNNConfig
 from lsnet.evaluation.compare.ablation import AblationRow, Published, thin_paper
-from lsnet.evaluation.compare.compare import detector_of
+from lsnet.evaluation.compare.compare import grids_of
 from lsnet.evaluation.compare.trainings import Trainings, Variant
 from lsnet.evaluation.paper import COMPARED, PaperProtocol, evaluate_as_paper, evaluate_pixels_as_paper
 from lsnet.training.tasks import LSNetTask
@@ -89,7 +89,7 @@ def _pixel_scores(net: nn.Module, sets: Sequence[Path]) -> dict[str, list[float]
 
 
 def _segment_scores(net: nn.Module, sets: Sequence[Path]) -> dict[str, dict[str, list[float]]]:
-    return _both_widths(detector_of(net), 0.5, sets)
+    return _both_widths(grids_of(net)("MHVC"), 0.5, sets)
 
 
 def _both_widths(

@@ -90,7 +90,7 @@ def test_colours_are_spread_from_the_least_score_to_1_and_are_not_those_of_folia
     steps = np.linalg.norm(np.diff(colours, axis=0), axis=1)
     whole = np.linalg.norm(colours[-1] - colours[0])
     np.testing.assert_allclose(steps / whole, np.diff(scores) / 0.5, atol=0.02)
-    assert whole > 0.5  # told apart at a glance
+    assert whole > 0.5  # easy to distinguish
     assert (colours[:, 1] < colours[:, 2]).all()  # neither green nor yellow nor brown
 
 

@@ -157,11 +157,11 @@ def site(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
     yield site
     if request.param == "local":
         assert not (tmp_path / "workers").exists() or site.is_quiet()
-    else:  # the processes of a cluster end when Ray has told them
+    else:  # the processes of a cluster end when Ray notifies them
         assert not (tmp_path / "workers").exists() or eventually(site.is_quiet)
 
 
-def told(outcomes: Iterator[Outcome]) -> dict[str, tuple[int, str]]:
+def results_of(outcomes: Iterator[Outcome]) -> dict[str, tuple[int, str]]:
     """Of each recording the attempts, and the status or the reason of its failure."""
     return {
         outcome.candidate.path.stem: (
@@ -181,7 +181,7 @@ def test_good_bad_and_poisonous_recordings(site: Site) -> None:
     recordings.insert(1, Candidate.at(site.folder / "none.mcap"))
     with site.start(max_attempts=2) as executor:
         assert executor.describe()["weights"] == "fast"
-        outcomes = told(executor.run(recordings, site.run))
+        outcomes = results_of(executor.run(recordings, site.run))
     assert outcomes == {
         "poison": (2, "killed"),
         "none": (1, "unreadable"),
@@ -196,7 +196,7 @@ def test_good_bad_and_poisonous_recordings(site: Site) -> None:
 def test_a_killed_worker_costs_one_attempt_of_one_recording(site: Site) -> None:
     recordings = [site.recording("once", KILL_ONCE), site.recording("good", 1)]
     with site.start(n_workers=2, max_attempts=2) as executor:
-        outcomes = told(executor.run(recordings, site.run))
+        outcomes = results_of(executor.run(recordings, site.run))
     assert outcomes == {"once": (2, "ok"), "good": (1, "ok")}
 
 
@@ -210,7 +210,7 @@ def test_late_recordings_and_workers_that_die_while_they_wait(site: Site) -> Non
         idle = site.workers()[-1]
         os.kill(idle, signal.SIGKILL)
         assert eventually(lambda: not _runs(idle))
-        assert told(executor.run([site.recording("good", 1)], site.run)) == {"good": (1, "ok")}
+        assert results_of(executor.run([site.recording("good", 1)], site.run)) == {"good": (1, "ok")}
     assert len(set(site.workers())) == 3
 
 
@@ -309,7 +309,7 @@ def test_workers_that_die_at_once_are_counted(tmp_path: Path, monkeypatch: pytes
         executor.describe()
 
 
-def test_workers_that_cannot_be_started_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_cannot_be_started_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", str(tmp_path / "gone"))
     with (
         Site(tmp_path, LocalExecutor).start() as executor,

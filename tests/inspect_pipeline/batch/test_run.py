@@ -71,7 +71,7 @@ class Night:
 
 
 @pytest.fixture
-def real_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
+def real_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bare_flights: None) -> Iterator[Night]:
     """With worker processes, which take over sys.path."""
     monkeypatch.syspath_prepend(LIGHT)
     night = Night(tmp_path)
@@ -334,7 +334,7 @@ def test_a_store_that_fails_ends_the_run_and_blames_no_recording(night: Night) -
 
 
 @pytest.mark.parametrize("name", ["spans.geojson", "rules.toml"])
-def test_spans_and_rules_that_are_damaged_end_the_run_and_it_is_told(night: Night, name: str) -> None:
+def test_spans_and_rules_that_are_damaged_end_the_run_with_an_error(night: Night, name: str) -> None:
     night.add("a", 1)
     night.store.root.mkdir()
     (night.store.root / name).write_text("{")
@@ -346,7 +346,7 @@ def test_spans_and_rules_that_are_damaged_end_the_run_and_it_is_told(night: Nigh
     assert night.events[-1] == ("batch finished", {"exit_code": 1, "error": summary.error})
 
 
-def test_folders_that_may_not_be_read_are_told(night: Night, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folders_that_may_not_be_read_are_reported(night: Night, monkeypatch: pytest.MonkeyPatch) -> None:
     night.add("a", 1)
     closed = night.inbox / "closed"
     closed.mkdir()

@@ -115,6 +115,8 @@ def test_clocks(text: str, wanted: datetime | None) -> None:
         ("[focal_len : 280] [dzoom_ratio: 20000, delta:0]", 56),
         ("[focal_len: 24]", 24),
         ("[focal_len: 0]", None),
+        (f"[focal_len: {'9' * 400}]", None),
+        (f"[focal_len: 24.0] [dzoom_ratio: {'9' * 400}]", 24_000),
         ("[fnum: 2.8]", None),
     ],
 )

@@ -10,7 +10,7 @@ from PIL import ExifTags, Image
 
 from inspect_pipeline.config import PlacingOptions
 from inspect_pipeline.convert.exif import read_tags
-from inspect_pipeline.convert.lenses import focal_px_of_sensor, focal_px_of_video
+from inspect_pipeline.convert.lenses import focal_px_of_film, focal_px_of_sensor
 from inspect_pipeline.convert.pack import pack
 from inspect_pipeline.georeference.frames import Georeferencer
 from inspect_pipeline.recording.frames import iter_frames
@@ -40,6 +40,17 @@ def photograph(path: Path, model: str, tags: dict[int, float], xmp: str = "") ->
         ("FC6310", {ExifTags.Base.FocalLengthIn35mmFilm: 24}, "", 120 * 24 / 36),
         ("XT2", {ExifTags.Base.FocalLength: 19}, "", 120 * 19 / 10.88),
         ("unheard of", {ExifTags.Base.FocalLength: 8.8}, "", None),
+        (  # Canon PowerShot SX260 HS, made smaller: 6.2 mm wide
+            "Canon PowerShot SX260 HS",
+            {
+                ExifTags.Base.FocalLength: 4.5,
+                ExifTags.Base.FocalPlaneXResolution: 16393.44,
+                ExifTags.Base.FocalPlaneResolutionUnit: 2,
+                ExifTags.Base.ExifImageWidth: 4000,
+            },
+            "",
+            120 * 4.5 / 6.1976,
+        ),
         ("FC6310", {ExifTags.Base.FocalLength: 0}, "", None),
         ("any", {ExifTags.Base.FocalLengthIn35mmFilm: 24}, CALIBRATED.format(x=61), 70.5),
         ("any", {ExifTags.Base.FocalLengthIn35mmFilm: 24}, CALIBRATED.format(x=2736), 80),
@@ -50,13 +61,14 @@ def test_the_lens_of_a_photograph(
 ) -> None:
     found = read_tags(photograph(tmp_path / "a.jpg", model, tags, xmp))
     assert found
-    assert found.focal_px == (None if focal_px is None else pytest.approx(focal_px))
+    assert found.focal_px == (None if focal_px is None else pytest.approx(focal_px, rel=1e-4))
 
 
 def test_lenses_of_data_sheets() -> None:
     """Phantom 4 Pro: 8.8 mm, 24 mm for 35 mm film. Mavic 3: 84 degrees across the diagonal of 4:3."""
     assert focal_px_of_sensor(8.8, "FC6310", (3648, 5472)) == pytest.approx(3648)
-    focal_px = focal_px_of_video(24, 3840)
+    focal_px = focal_px_of_film(24, (2160, 3840))
+    assert focal_px == focal_px_of_film(24, (2880, 3840))  # the whole sensor
     assert math.degrees(2 * math.atan(3840 * 1.25 / 2 / focal_px)) == pytest.approx(84, abs=0.2)
 
 

@@ -131,7 +131,7 @@ def test_photographs_become_a_recording(tmp_path: Path, capfd: pytest.CaptureFix
     assert stored == [(folder / name).read_bytes() for name in ("b.JPG", "a.jpg", "c.jpg")]
 
 
-def test_the_zone_of_the_clock_is_told_by_gps_or_by_exif(tmp_path: Path) -> None:
+def test_the_zone_of_the_clock_is_read_from_gps_or_exif(tmp_path: Path) -> None:
     gps = {"GPSDateStamp": "2024:05:01", "GPSTimeStamp": (6.0, 29.0, 58.0)}
     for name, fields in (("gps", gps), ("none", {})):
         (tmp_path / name).mkdir()
@@ -142,11 +142,11 @@ def test_the_zone_of_the_clock_is_told_by_gps_or_by_exif(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("told", "wanted"),
+    ("recorded", "wanted"),
     [("2024-05-01 12:00:00", "2024-05-01T12:00:00"), ("2024-05-01T12:00:00.5Z", "2024-05-01T12:00:00.500")],
 )
-def test_when_a_video_was_made(tmp_path: Path, told: str, wanted: str) -> None:
-    assert _start_ns(tmp_path, [], {"creation_time": told}, UTC, None) == utc_ns(wanted)
+def test_when_a_video_was_made(tmp_path: Path, recorded: str, wanted: str) -> None:
+    assert _start_ns(tmp_path, [], {"creation_time": recorded}, UTC, None) == utc_ns(wanted)
 
 
 @pytest.mark.parametrize("metadata", [{}, {"creation_time": "yesterday"}])
@@ -203,8 +203,11 @@ def test_a_video_and_its_subtitles_become_a_recording(tmp_path: Path) -> None:
     assert (third.latitude_deg, third.longitude_deg, third.altitude_m) == (-48.3, 11.7, 502.5)
 
 
-def test_what_cannot_be_packed_is_told_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
+def test_what_cannot_be_packed_is_one_line(tmp_path: Path) -> None:
+    for name in ("empty", "raw", "clockless"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "raw" / "a.DNG").touch()
+    photograph(tmp_path / "clockless" / "a.jpg", None)
     (tmp_path / "text.mp4").write_text("no video")
     make_video(tmp_path / "undated.mp4")
     make_video(tmp_path / "b.mp4")
@@ -212,7 +215,9 @@ def test_what_cannot_be_packed_is_told_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "there.mcap").write_text("")
     for source, target, message in (
         ("absent", "a.mcap", "there is no such file or folder"),
-        ("empty", "a.mcap", "no JPEG that says when it was taken"),
+        ("empty", "a.mcap", "no MCAP file and no JPEG; name another folder"),
+        ("raw", "a.mcap", r"it has pictures \(.dng\) but no JPEG; convert them"),
+        ("clockless", "a.mcap", "its JPEG does not say when it was taken; set"),
         ("text.mp4", "a.mcap", "not a video"),
         ("undated.mp4", "a.mcap", "does not say when it was taken"),
         ("b.mp4", "there.mcap", "exists already"),
@@ -230,7 +235,7 @@ def test_the_command(tmp_path: Path) -> None:
     app.command()(pack_command)
     result = CliRunner().invoke(app, [str(tmp_path), str(tmp_path / "a.mcap")])
     assert result.exit_code == 0
-    assert result.stdout == f"{tmp_path / 'a.mcap'}: 1 images, 0 positions, 1 attitudes\n"
+    assert result.stdout == f"{tmp_path / 'a.mcap'}: 1 image, 0 positions, 1 attitude\n"
     assert "b.jpg does not say when it was taken" in result.stderr
 
 

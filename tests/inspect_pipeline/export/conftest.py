@@ -19,14 +19,11 @@ ALWAYS_DARK = "[frames]\ndark_below_luma = 250.0\noverexposed_above_luma = 255.0
 
 
 class TwoLines(FakeDetector):
-    """Finds the same two lines in all but three images."""
-
-    n_images = 0
+    """Finds the same two lines in some of the images, by their content."""
 
     def _detect(self, image: np.ndarray) -> Detections:
         size = image.shape[:2]
-        self.n_images += 1
-        if self.n_images < 4:
+        if int(image.sum()) % 2:
             return Detections(Segments.empty(size), Lines.empty(size))
         lines = ([[2, 3], [60, 40.5], [150, 90]], [[10, 110], [12.25, 20]])
         points = [np.array(line, np.float32) for line in lines]

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
+from pyproj import Geod
 
 from inspect_pipeline.errors import MissingExtraError
 from inspect_pipeline.export.rows import Redaction, Rows
@@ -38,13 +39,14 @@ PAIRS = [
     if what in {"frames", "spans"} or form in {"geojson", "csv"}
 ]
 SUFFIXES = {"geojson": ".geojson", "gpkg": ".gpkg", "kml": ".kml", "csv": ".csv"}
-ENDS = {"spans": ("from_", "to_"), "gaps": ("from_", "to_")}
+ENDS = dict.fromkeys(("spans", "conductors", "gaps"), ("from_", "to_"))
 COUNTS = {
     "frames": "SELECT count(*) AS n FROM frames",
     "lines": "SELECT count(*) AS n FROM lines",
     "gaps": "SELECT count(*) AS n FROM coverage_gaps",
     "anomalies": "SELECT count(*) AS n FROM anomalies",
     "signals": "SELECT count(*) AS n FROM signals",
+    "conductors": "SELECT count(*) AS n FROM conductors",
     "spans": "SELECT (SELECT count(*) FROM span_coverage) + count(*) AS n FROM spans"
     " WHERE span_id NOT IN (SELECT span_id FROM span_coverage)",
 }
@@ -76,7 +78,10 @@ def test_an_export_is_read_back_equal(store: Store, tmp_path: Path, what: str, f
 
 
 def read_rows(store: Store, what: str) -> list[tuple[float, ...]]:
-    """Longitude and latitude of the ends of each row, by the tables of the index."""
+    """Longitude and latitude of the ends of each row, as the tables of the index have them."""
+    if what == "conductors":
+        rows = select(store, "FROM conductors JOIN spans USING (span_id)")
+        return [beside(row) for row in rows]
     names = ", ".join(f"{end}lon_deg, {end}lat_deg" for end in ENDS.get(what, ("",)))
     sources = {
         "frames": "frames",
@@ -89,6 +94,14 @@ def read_rows(store: Store, what: str) -> list[tuple[float, ...]]:
         " AND a.frame_idx = g.first_frame_idx AND b.frame_idx = g.last_frame_idx)",
     }
     return [tuple(row.values()) for row in select(store, f"SELECT {names} FROM {sources[what]}")]
+
+
+def beside(row: dict[str, float]) -> tuple[float, ...]:
+    """The ends of a span moved to the left of it, by geodesics."""
+    ends = [(row[f"{end}_lon_deg"], row[f"{end}_lat_deg"]) for end in ("from", "to")]
+    geod = Geod(ellps="WGS84")
+    azimuth_deg, _, _ = geod.inv(*ends[0], *ends[1])
+    return tuple(v for end in ends for v in geod.fwd(*end, azimuth_deg - 90, row["across_m"])[:2])
 
 
 def test_values_are_the_same_in_csv_and_geojson(store: Store, tmp_path: Path) -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import html
 import json
 import shutil
 from typing import TYPE_CHECKING, Any
 
 import flights
 import jsonschema
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from inspect_pipeline import publishing
 from inspect_pipeline.export.layout import make_layout
+from inspect_pipeline.export.review import RED, to_feature
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.store.feedback import add_review
 from inspect_pipeline.store.store import Store
@@ -116,7 +119,9 @@ def test_anomalies_are_in_the_log_and_on_the_map(store: Store, review: list[tupl
     assert set(levels) == {"blurred_frames"}
     placed = of(review, "/lsnet/review/anomalies")
     expected = sorted((r["start_ns"], r["lon_deg"], r["lat_deg"]) for r in rows if r["lat_deg"] is not None)
-    assert sorted((t, *f["geometry"]["coordinates"]) for t, f in placed) == expected
+    rings = [(time_ns, np.array(f["geometry"]["coordinates"][0][:-1])) for time_ns, f in placed]
+    found = sorted((time_ns, *ring.mean(axis=0)) for time_ns, ring in rings)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
     assert len(of(review, "/lsnet/review/spans")) == len(select(store, "FROM spans"))
 
 
@@ -164,12 +169,20 @@ def test_the_layout_of_a_flight_shows_its_topics(store: Store, review: list[tupl
 
 
 @pytest.mark.parametrize("n_cameras", [0, 1, 2, 3, 9])
-@pytest.mark.parametrize("has_map", [True, False])
-def test_layouts_of_any_number_of_cameras(n_cameras: int, has_map: bool) -> None:
-    layout = make_layout([f"/camera{i}" for i in range(n_cameras)], ["battery"], has_map=has_map)
+@pytest.mark.parametrize("centre", [(47.0, 8.5), None])
+def test_layouts_of_any_number_of_cameras(n_cameras: int, centre: tuple[float, float] | None) -> None:
+    layout = make_layout([f"/camera{i}" for i in range(n_cameras)], ["battery"], centre)
     jsonschema.validate(layout, LAYOUT_SCHEMA)
     assert leaves(layout["layout"]) == set(layout["configById"])
-    assert ("map!lsnet" in layout["configById"]) == has_map
+    assert ("map!lsnet" in layout["configById"]) == bool(centre)
+
+
+def test_names_are_text_in_the_tooltips_of_maps() -> None:
+    """Leaflet takes them for HTML."""
+    point = {"type": "Point", "coordinates": [8.5, 47.0]}
+    name = to_feature(point, "span <img src=x onerror=alert(1)> & more", RED)["properties"]["name"]
+    assert "<" not in name
+    assert html.unescape(name) == "span <img src=x onerror=alert(1)> & more"
 
 
 def leaves(node: Any) -> set[str]:

@@ -111,11 +111,13 @@ def test_the_table_of_errors_is_what_the_functions_say() -> None:
 
     assert len(rows) == 4
     for row in rows:
-        pitch_deg, *told = (float(cell.strip().removesuffix(" m")) for cell in row.strip("|").split("|"))
+        pitch_deg, *documented = (
+            float(cell.strip().removesuffix(" m")) for cell in row.strip("|").split("|")
+        )
         shifted = [place(pitch_deg + error) for error in (0.5, 1, 2)]
         shifted += [place(pitch_deg, yaw_deg=1), place(pitch_deg, height_m=51)]
         found = [np.linalg.norm(there - place(pitch_deg)) for there in shifted]
-        assert found == pytest.approx(told, abs=0.0051)
+        assert found == pytest.approx(documented, abs=0.0051)
 
 
 @pytest.mark.parametrize("n_coefficients", [1, 3, 6])

@@ -208,7 +208,7 @@ def test_what_is_no_terrain_model(tmp_path: Path) -> None:
         load_elevation(local)
 
 
-def test_the_content_of_a_terrain_model_tells_runs_apart(tmp_path: Path) -> None:
+def test_the_content_of_a_terrain_model_is_part_of_the_config(tmp_path: Path) -> None:
     def digest(path: Path | None) -> str:
         return start_run(FakeDetector(), ProcessOptions(placing=PlacingOptions(terrain=path))).config_sha256
 

@@ -13,7 +13,7 @@ from factories import RAW_ENCODINGS, START_NS, STEP_NS, RawPixels, make_recordin
 
 from inspect_pipeline.images.decode import ImageDecoder
 from inspect_pipeline.images.pixels import FULL_RANGE, ValueRange, range_in_use
-from inspect_pipeline.messages.image import ImageMessage, RawLayout
+from inspect_pipeline.messages.image import ImageError, ImageMessage, RawLayout
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 
@@ -57,6 +57,16 @@ def test_deep_colours_are_scaled_alike(suffix: str, channels: int, capfd: pytest
     image = ImageDecoder().decode(ImageMessage(0, "", suffix[1:], data)).image
     np.testing.assert_array_equal(image, rgb)
     assert capfd.readouterr().err == ""
+
+
+def test_a_deep_png_without_its_last_chunk() -> None:
+    """Pillow reads it, and so it is read, or is a bad frame."""
+    whole = cv2.imencode(".png", np.dstack([GREY << 4] * 3))[1].tobytes()
+    try:
+        image = ImageDecoder().decode(ImageMessage(0, "", "png", whole[:-12])).image
+    except ImageError:
+        return
+    np.testing.assert_array_equal(image, np.dstack([GREY] * 3))
 
 
 def test_a_narrow_band_far_above_zero_is_spread() -> None:

@@ -2,63 +2,47 @@
 
 from __future__ import annotations
 
-import shutil
 from typing import TYPE_CHECKING
 
 import cv2
 import flights as made
-import inspected
 import numpy as np
 import pytest
 
 from inspect_pipeline import publishing
 from inspect_pipeline.index.reading import select
-from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.report import thumbnails
 from inspect_pipeline.report.evidence import load_evidence
 from inspect_pipeline.report.flight_page import render_flight
 from inspect_pipeline.report.thumbnails import encode_small
-from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
-from inspect_pipeline.simulation.truth import simulate_truth
-from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
-FAULTS = (FaultKind.CONDUCTOR_GAP, FaultKind.DARK)
-TRUTH = simulate_truth(SimulationOptions(24, 4, seed=3, faults=FAULTS))
+    from inspect_pipeline.simulation.records import FlightTruth
+    from inspect_pipeline.store.store import Store
+
 FLIGHT = made.flight_id_of("faulty")
 
 
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    store = Store(tmp_path_factory.mktemp("pictures"))
-    inspected.write_truth(store, "faulty", TRUTH)
-    import_spans(store, inspected.spans_of(TRUTH))
-    publishing.publish(store)
-    return store
-
-
 @pytest.fixture
-def store(template: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+def _images(monkeypatch: pytest.MonkeyPatch, truth: FlightTruth) -> None:
     """The recording is not there: its images are grey."""
 
     def read(_source: object, wanted: dict[tuple[str, int], int]) -> Iterator[tuple[str, int, np.ndarray]]:
         for topic, frame_idx in wanted:
-            yield topic, frame_idx, np.full((*TRUTH.frames[0].image_size, 3), 90, np.uint8)
+            yield topic, frame_idx, np.full((*truth.frames[0].image_size, 3), 90, np.uint8)
 
     monkeypatch.setattr(thumbnails, "open_images", lambda *_: None)
     monkeypatch.setattr(thumbnails, "iter_images", read)
-    return Store(shutil.copytree(template.root, tmp_path / "store"))
 
 
-def test_the_mark_is_on_the_fault(template: Store) -> None:
+def test_the_mark_is_on_the_fault(template: Store, truth: FlightTruth) -> None:
     """On the axis of the span it is within two metres of where the truth says that a conductor ends."""
     (row,) = select(template, "SELECT * FROM anomalies WHERE kind = 'conductor_gap'")
     found = load_evidence(template, FLIGHT).of_anomalies[row["anomaly_id"]]
-    (frame,) = (one for one in TRUTH.frames if one.frame_idx == found.frame_idx)
-    (fault,) = (one for one in TRUTH.faults if one.span_id)
+    (frame,) = (one for one in truth.frames if one.frame_idx == found.frame_idx)
+    (fault,) = (one for one in truth.faults if one.span_id)
     broken = [line.points for line in frame.lines if line.conductor_id in fault.conductor_ids]
     ends = np.vstack([points[[0, -1]] for points in broken])
     x, y, radius = found.mark
@@ -66,6 +50,7 @@ def test_the_mark_is_on_the_fault(template: Store) -> None:
     assert 0 <= found.crop.left <= x <= found.crop.left + found.crop.side <= found.width
 
 
+@pytest.mark.usefixtures("_images")
 def test_pictures_are_made_once_and_removed_when_not_needed(store: Store) -> None:
     publishing.rebuild(store)
     folder = store.flight_dir(FLIGHT) / "pictures"

@@ -144,7 +144,7 @@ def _replace_and_add(store: Store) -> None:
 
 
 def _run_watched(store: Store, on_step: Callable[[str], object], *, has_exchange: bool) -> int:
-    """How a child ended that told its steps, ours or the system's, before it took them."""
+    """Return how a child ended that reported its steps, ours or the system's, before each."""
     child = os.fork()
     if child == 0:
         if not has_exchange:

@@ -277,7 +277,7 @@ def test_damaged_results_are_no_results(store: Store) -> None:
     assert caught.value.exit_code == 12
 
 
-def test_manifest_tells_what_happened(store: Store) -> None:
+def test_manifest_lists_what_happened(store: Store) -> None:
     flights.write_flight(store, "a")
     index.publish(store)
     index.publish(store)

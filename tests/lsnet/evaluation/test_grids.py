@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lsnet import LSNetError
-from lsnet.evaluation.grids import OnlyGrids
+from lsnet.evaluation.grids import OnlyGrids, Remembered
 from lsnet.grid import GridCoder
 
 
@@ -36,3 +36,20 @@ def test_cells_are_those_of_the_grids_shifted_by_half_a_cell(
 def test_unknown_grid_letters_are_one_line(grids: str) -> None:
     with pytest.raises(LSNetError, match="give some of the letters MHVC"):
         OnlyGrids(AllCells(), grids)
+
+
+def test_each_image_is_run_once_for_all_grids() -> None:
+    class Counted(AllCells):
+        n_run = 0
+
+        def run(self, images: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+            self.n_run += len(images)
+            return [pair for image in images for pair in super(Counted, self).run([image])]
+
+    counted = Counted()
+    shared = Remembered(counted)
+    black, wide = np.zeros((96, 128, 3), np.uint8), np.zeros((128, 96, 3), np.uint8)
+    images = [black, black + 1, wide]
+    shapes = [[scores.shape for scores, _ in OnlyGrids(shared, grids).run(images)] for grids in ("M", "MHVC")]
+    assert shapes == [[(5, 7), (5, 7), (7, 5)]] * 2
+    assert counted.n_run == 3

@@ -13,10 +13,17 @@ from nets import openvino_or_skip, photo, save_tiny
 from lsnet import Detector, LSNetError
 from lsnet.runtime import networks
 from lsnet.runtime.networks import path_beside, read_network, write_networks
-from lsnet.weights_file import read_weights
+from lsnet.weights_file import list_weights, read_weights
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+def test_the_shipped_network_is_of_the_shipped_weights() -> None:
+    """After a change of the weights: lsnet-pipe model convert fast."""
+    openvino_or_skip()
+    for name in list_weights():
+        assert all(read_network(read_weights(name), precision) for precision in ("bf16", "int8")), name
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 NO_LINES = Lines((), np.zeros(0, np.float32), (1, 1))
 
 
-class Told:
+class FixedDetector:
     """A detector that reports the given segments for every image."""
 
     def __init__(self, rows: list[list[float]], scale: float = 1.0) -> None:
@@ -41,7 +41,7 @@ def position_photo(height: int, width: int) -> np.ndarray:
 
 
 def squares(rows: list[list[float]], photo: np.ndarray, scale: float = 1.0) -> list[np.ndarray]:
-    return mining.hard_squares(photo, cast("Detector", Told(rows, scale)))
+    return mining.hard_squares(photo, cast("Detector", FixedDetector(rows, scale)))
 
 
 def test_segment_of_the_highest_score_is_in_the_middle_of_the_first_square() -> None:
@@ -66,7 +66,7 @@ def test_squares_are_written_under_the_name_of_their_photograph(tmp_path: Path) 
     photos.mkdir()
     for name in "ab":
         cv2.imwrite(str(photos / f"{name}.png"), position_photo(600, 700)[..., ::-1])
-    detector = cast("Detector", Told([[40, 40, 60, 40, 0.5]]))
+    detector = cast("Detector", FixedDetector([[40, 40, 60, 40, 0.5]]))
     assert list(mining.mine(detector, [f"{photos}:1"], output)) == [1]
     assert list(mining.named_photos([str(photos)])) == ["photos_a", "photos_b"]
     (file,) = output.iterdir()
@@ -77,7 +77,7 @@ def test_squares_are_written_under_the_name_of_their_photograph(tmp_path: Path) 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(LSNetError, match="cannot be created as a folder"):
-        list(mining.mine(cast("Detector", Told([])), [], tmp_path / "file"))
+        list(mining.mine(cast("Detector", FixedDetector([])), [], tmp_path / "file"))
 
 
 def test_squares_of_the_same_name_are_one_line(tmp_path: Path) -> None:
@@ -87,7 +87,9 @@ def test_squares_of_the_same_name_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(LSNetError, match=r"1\.png and .*1\.jpg would have squares of the same names"):
         list(
             mining.mine(
-                cast("Detector", Told([])), [f"{tmp_path}/{k}/photos" for k in "ab"], tmp_path / "hard"
+                cast("Detector", FixedDetector([])),
+                [f"{tmp_path}/{k}/photos" for k in "ab"],
+                tmp_path / "hard",
             )
         )
 

@@ -145,7 +145,7 @@ def test_lines_that_turn_together_are_an_orientation_jump() -> None:
     assert found(three_lines(40, np.ones((40, 3), bool), slowly), "orientation_jump") == []
 
 
-def test_a_line_across_the_others_is_told() -> None:
+def test_a_line_across_the_others_is_reported() -> None:
     camera = three_lines(40, np.ones((40, 3), bool))
     rows = np.arange(10, 20)
     across = np.tile([[100.0, 480.0], [900.0, 520.0]], (10, 1))
@@ -200,11 +200,11 @@ def test_ids_last_when_ends_move_a_little() -> None:
     first = with_ids("f", find_anomalies([spoiled(mean_luma=(slice(5, 9), 1.0))], [], RULES), [])
     again = find_anomalies([spoiled(mean_luma=(slice(4, 9), 1.0))], [], RULES)
     (old,) = first
-    told = [Reviewed(old.anomaly_id, old.kind, old.channel_id, old.span_id, old.start_ns, old.end_ns)]
-    assert [one.anomaly_id for one in with_ids("f", again, told)] == [old.anomaly_id]
+    reviewed = [Reviewed(old.anomaly_id, old.kind, old.channel_id, old.span_id, old.start_ns, old.end_ns)]
+    assert [one.anomaly_id for one in with_ids("f", again, reviewed)] == [old.anomaly_id]
     assert [one.anomaly_id for one in with_ids("f", again, [])] != [old.anomaly_id]
     elsewhere = find_anomalies([spoiled(mean_luma=(slice(30, 34), 1.0))], [], RULES)
-    assert [one.anomaly_id for one in with_ids("f", elsewhere, told)] != [old.anomaly_id]
+    assert [one.anomaly_id for one in with_ids("f", elsewhere, reviewed)] != [old.anomaly_id]
     assert [one.anomaly_id for one in with_ids("g", again, [])] != [
         one.anomaly_id for one in with_ids("f", again, [])
     ]

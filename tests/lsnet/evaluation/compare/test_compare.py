@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from evaluation_sets import write_masks
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from nets import TINY
 
@@ -53,8 +53,6 @@ def test_a_set_holds_the_drawn_images_and_their_lines(tmp_path: Path) -> None:
     kept = (tmp_path / "images.npy").stat().st_mtime_ns
     draw_set(tmp_path, (), 6, seed=3, workers=0)
     assert (tmp_path / "images.npy").stat().st_mtime_ns == kept
-    with pytest.raises(LSNetError, match="holds 6 synthetic images, not 7; give another run folder"):
-        draw_set(tmp_path, (), 7, seed=3, workers=0)
 
 
 def test_crops_move_the_lines_with_the_image() -> None:
@@ -159,6 +157,7 @@ def test_names_of_networks_are_unique() -> None:
     assert len({network.name for network in NETWORKS}) == len(NETWORKS)
 
 
+@settings(deadline=None)  # a busy machine is no failure
 @given(st.lists(st.tuples(st.integers(1, 9), st.integers(1, 9)), min_size=1))
 def test_nothing_beats_the_pareto_front(pairs: list[tuple[int, int]]) -> None:
     points = [ChartPoint(str(i), ms, ods) for i, (ms, ods) in enumerate(pairs)]

@@ -1,4 +1,4 @@
-"""Evidence as photographs and labels, and snippets, of a processed recording; read back by other programs."""
+"""Frames as photographs and labels, and snippets, of a processed recording; read back by other programs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pycocotools.coco import COCO
 from inspect_pipeline.config import ProcessOptions
 from inspect_pipeline.convert.exif import read_tags
 from inspect_pipeline.errors import MissingExtraError
-from inspect_pipeline.export.evidence import export_evidence
+from inspect_pipeline.export.images import export_images
 from inspect_pipeline.export.rerun import export_rrd
 from inspect_pipeline.export.rows import Redaction
 from inspect_pipeline.export.snippet import export_snippet
@@ -51,7 +51,7 @@ def frames_of(store: Store, folder: Path) -> list[tuple[dict[str, Any], Path]]:
 
 
 def test_photographs_carry_place_time_and_attitude(flown: Store, tmp_path: Path) -> None:
-    found = export_evidence(flown, flight_ids(flown), tmp_path, form="jpeg")
+    found = export_images(flown, flight_ids(flown), "evidence", tmp_path, form="jpeg")
     shown = frames_of(flown, tmp_path)
     assert len(shown) == found.n_images == found.n_wanted > 0
     for row, path in shown:
@@ -76,7 +76,7 @@ def test_photographs_carry_place_time_and_attitude(flown: Store, tmp_path: Path)
 
 
 def test_they_are_read_as_those_of_a_drone(flown: Store, tmp_path: Path) -> None:
-    export_evidence(flown, flight_ids(flown), tmp_path, form="jpeg")
+    export_images(flown, flight_ids(flown), "evidence", tmp_path, form="jpeg")
     for row, path in frames_of(flown, tmp_path):
         tags = read_tags(path)
         assert tags is not None
@@ -89,7 +89,7 @@ def test_they_are_read_as_those_of_a_drone(flown: Store, tmp_path: Path) -> None
 
 
 def test_the_tables_beside_the_images(flown: Store, tmp_path: Path) -> None:
-    found = export_evidence(flown, flight_ids(flown), tmp_path, form="esri-oriented")
+    found = export_images(flown, flight_ids(flown), "evidence", tmp_path, form="esri-oriented")
     with (tmp_path / "images.csv").open() as file:
         images = list(csv.DictReader(file))
     with (tmp_path / "oriented_imagery.csv").open() as file:
@@ -105,10 +105,11 @@ def test_the_tables_beside_the_images(flown: Store, tmp_path: Path) -> None:
         assert 0 <= float(pose["CameraHeading"]) < 360
 
 
-@pytest.mark.parametrize("form", ["coco", "labelme"])
-def test_labels_are_the_lines(flown: Store, tmp_path: Path, form: str) -> None:
-    export_evidence(flown, flight_ids(flown), tmp_path, form=form)
+@pytest.mark.parametrize(("what", "form"), [("frames", "coco"), ("evidence", "labelme")])
+def test_labels_are_the_lines(flown: Store, tmp_path: Path, what: str, form: str) -> None:
+    export_images(flown, flight_ids(flown), what, tmp_path, form=form)
     wanted = {path.name: row for row, path in frames_of(flown, tmp_path)}
+    assert what == "evidence" or len(wanted) == 10
     of_frame = "FROM lines WHERE frame_idx = ? ORDER BY line_idx"
     lines = {name: select(flown, of_frame, [row["frame_idx"]]) for name, row in wanted.items()}
     labelled = load_labels(tmp_path)
@@ -125,7 +126,7 @@ def test_labels_are_the_lines(flown: Store, tmp_path: Path, form: str) -> None:
 
 
 def test_redacted_photographs_do_not_say_where(flown: Store, tmp_path: Path) -> None:
-    export_evidence(flown, flight_ids(flown), tmp_path, form="jpeg", redaction=Redaction.of("drop"))
+    export_images(flown, flight_ids(flown), "evidence", tmp_path, form="jpeg", redaction=Redaction.of("drop"))
     for _, path in frames_of(flown, tmp_path):
         with Image.open(path) as image:
             assert not image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
@@ -139,7 +140,7 @@ def test_images_that_are_gone_are_failures(flown: Store, tmp_path: Path) -> None
     publish(store)
     (flown.root.parent / "a.mcap").rename(tmp_path / "moved.mcap")
     try:
-        found = export_evidence(store, flight_ids(store), tmp_path / "out", form="jpeg")
+        found = export_images(store, flight_ids(store), "evidence", tmp_path / "out", form="jpeg")
     finally:
         (tmp_path / "moved.mcap").rename(flown.root.parent / "a.mcap")
     assert (found.n_images, len(found.failures)) == (0, 1)

@@ -1,6 +1,6 @@
-"""Flagged frames as a folder of photographs, with a table of them, for image-based inspection systems.
+"""Frames as a folder of photographs, with a table of them, for image-based systems and for training.
 
-images.csv            a row for each image: time, place, attitude, and the anomalies it shows
+images.csv            a row for each image: time, place, attitude, and of evidence the anomalies it shows
 annotations.json      with COCO labels; NAME.json beside each image with those of labelme
 oriented_imagery.csv  the table of ArcGIS
 """
@@ -13,7 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import InspectError, OutputError
 from inspect_pipeline.export.labels import COCO_FILE, to_coco, to_labelme
-from inspect_pipeline.export.oriented_imagery import ORIENTED_IMAGERY_FILE, to_oriented_image
+from inspect_pipeline.export.oriented_imagery import (
+    ORIENTED_IMAGERY_FIELDS,
+    ORIENTED_IMAGERY_FILE,
+    to_oriented_image,
+)
 from inspect_pipeline.export.photograph import write_photograph
 from inspect_pipeline.export.rows import Redaction, Rows
 from inspect_pipeline.export.text import write_cells
@@ -21,7 +25,7 @@ from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.store.images import iter_images, open_images
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from inspect_pipeline.arrays import ImageArray
@@ -30,11 +34,11 @@ if TYPE_CHECKING:
     Row = Mapping[str, Any]
     Key = tuple[str, int, int]
 
-EVIDENCE_FORMATS = ("jpeg", "coco", "labelme", "esri-oriented")
+IMAGE_FORMATS = ("jpeg", "coco", "labelme", "esri-oriented")
 IMAGES_FILE = "images.csv"
 
 
-class EvidenceExport(NamedTuple):
+class ExportedImages(NamedTuple):
     """What was exported: the number of images, of those that were wanted, and a sentence for each failure."""
 
     n_images: int
@@ -42,24 +46,26 @@ class EvidenceExport(NamedTuple):
     failures: tuple[str, ...]
 
 
-def export_evidence(
+def export_images(
     store: Store,
     flight_ids: Sequence[str],
+    what: str,
     folder: Path,
     *,
     form: str,
     redaction: Redaction | None = None,
     on_progress: Callable[[int, int], object] = lambda _done, _total: None,
-) -> EvidenceExport:
-    """Write the evidence frames of anomalies that nobody has dismissed into a folder.
+) -> ExportedImages:
+    """Write frames into a folder: all, or those that show anomalies which nobody has dismissed.
 
     A flight whose images are gone or damaged is a failure; the others are written.
 
     Args:
         store: the store.
         flight_ids: the flights.
+        what: "frames" or "evidence".
         folder: where the images and tables go; made if missing, files of the same names are replaced.
-        form: one of EVIDENCE_FORMATS; all have the images and their table.
+        form: one of IMAGE_FORMATS; all have the images and their table.
         redaction: what is done to coordinates.
         on_progress: called with the number of images done, and that of all.
 
@@ -67,7 +73,9 @@ def export_evidence(
         OutputError, StoreError
     """
     with open_index(store) as index:
-        rows = list(Rows("evidence", index.read_export("evidence", flight_ids), redaction).dicts())
+        table = Rows(what, index.read_export(what, flight_ids), redaction)
+        names = ["file", *table.schema.names]
+        rows = [row for row in table.dicts() if row["width"] is not None]
         lines: Mapping[Key, list[Row]] = {}
         if form in {"coco", "labelme"}:
             wanted = {_key(row) for row in rows}
@@ -81,10 +89,11 @@ def export_evidence(
             write_photograph(folder / name, image, row)
             written[name] = row
             on_progress(len(written), len(rows))
-        _write_tables(folder, written, lines, form)
+        _write_table(folder / IMAGES_FILE, names, [{"file": name, **row} for name, row in written.items()])
+        _write_labels(folder, written, lines, form)
     except OSError as error:
         raise OutputError(folder, f"cannot be written ({error.strerror})", "name another folder") from error
-    return EvidenceExport(len(written), len(rows), tuple(failures))
+    return ExportedImages(len(written), len(rows), tuple(failures))
 
 
 def _key(row: Row) -> Key:
@@ -119,27 +128,26 @@ def _read_images(store: Store, rows: Sequence[Row], failures: list[str]) -> Iter
                 failures.append(f"flight {flight_id[:16]}: {len(own)} of its frames have no image any more")
 
 
-def _write_tables(
+def _write_labels(
     folder: Path, written: Mapping[str, Row], lines: Mapping[Key, list[Row]], form: str
 ) -> None:
-    table = [{"file": name, **row} for name, row in written.items()]
-    _write_table(folder / IMAGES_FILE, table)
+    """Write what the format adds to the images."""
     if form == "esri-oriented":
         placed = [to_oriented_image(folder / name, row) for name, row in written.items()]
-        _write_table(folder / ORIENTED_IMAGERY_FILE, [row for row in placed if row])
+        _write_table(folder / ORIENTED_IMAGERY_FILE, ORIENTED_IMAGERY_FIELDS, [row for row in placed if row])
     if form == "coco":
         labelled = ((name, row, lines.get(_key(row), [])) for name, row in written.items())
         _write_json(folder / COCO_FILE, to_coco(labelled))
     if form == "labelme":
         for name, row in written.items():
-            _write_json((folder / name).with_suffix(".json"), to_labelme(name, row, lines.get(_key(row), [])))
+            labels = to_labelme(name, row, lines.get(_key(row), []))
+            _write_json((folder / name).with_suffix(".json"), labels)
 
 
-def _write_table(path: Path, rows: Sequence[Row]) -> None:
+def _write_table(path: Path, names: Sequence[str], rows: Iterable[Row]) -> None:
     """Write rows as CSV; lists in them as texts with semicolons between."""
     with appearing(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        cells = ([_to_text(value) for value in row.values()] for row in rows)
-        write_cells(rows[0] if rows else (), cells, file)
+        write_cells(names, ([_to_text(row[name]) for name in names] for row in rows), file)
 
 
 def _to_text(value: Any) -> Any:

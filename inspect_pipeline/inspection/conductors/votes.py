@@ -24,16 +24,12 @@ if TYPE_CHECKING:
 
 NO_CONDUCTOR = -1
 _NEAR_PX, _NEAR_SD, _MAX_NEAR_M = 4.0, 2.5, 0.5  # of a conductor's place: nearer lines belong to it
-_APART, _ALONE = (
-    1.2,
-    2.5,
-)  # times that: nearer conductors say nothing of each other, or not that one is absent
+_APART = 1.2  # times that: nearer conductors say nothing of each other
+_ALONE = 1.7  # times that: of conductors nearer than this none is said to be absent
 _MIN_LINE_SHARE = 0.4  # of a line near a conductor, from which on all of it belongs to that
 _MIN_TRACK_SHARE = 0.5  # the same of a track over all frames, for lines that are near none
-_MAX_DISPLACED_M, _MIN_DISPLACED_BINS = (
-    2.5,
-    4,
-)  # of a line of a conductor that hangs elsewhere than on other spans
+# Of a line of a conductor that hangs elsewhere than on other spans: how far, and along how many bins.
+_MAX_DISPLACED_M, _MIN_DISPLACED_BINS = 2.5, 4
 _MISSED_WEIGHT = 0.5  # of a frame in which a conductor was found nowhere: it may have been missed
 _MIN_DEPTH_M = 0.5  # of conductors below the camera
 _MIN_FOUND = 0.5  # of the conductors that a frame shows; others of poor detection or pose say nothing

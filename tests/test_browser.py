@@ -126,10 +126,9 @@ def test_review(server: ReviewServer, screenshots: Path, tmp_path: Path) -> None
     write_page(page, render_flight(server.store, server.flight_id))
     seen = browse(page, server.url, screenshots / "review")
     check(seen, page, server.url)
-    assert seen["verdict"] == "confirmed"
+    assert (seen["verdict"], seen["form"]) == ("confirmed", "dismissed")
     assert "seen from the ground" in seen["decisions"]
-    assert [(one.verdict, one.note) for one in load_reviews(server.store)] == [
-        ("confirmed", "seen from the ground")
-    ]
+    reviews = [(one.verdict, one.note) for one in load_reviews(server.store)]
+    assert reviews == [("confirmed", "seen from the ground"), ("dismissed", "")]
     (correction,) = load_corrections(server.store)
     assert len(correction.lines[-1]) == 2

@@ -24,7 +24,15 @@ LINE = slice(BEYOND, BEYOND + ALONG)
 ON_LINE = slice(MIDDLE - 1, MIDDLE + 2)
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 SIDES_PX = ((2, 3), (4, 6), (6, 9), (9, 14), (14, 24), (24, 40))  # distances of the ground that is compared
-DETAILED = ((4, 6), (9, 14))
+DETAILED = [1, 3]  # of these distances
+SIDE_MEANS = np.stack(  # (O, 2 D) weights that average the ground of one side, then of the other, by distance
+    [
+        inside / inside.sum()
+        for side in (-ACROSS_PX, ACROSS_PX)
+        for inside in ((side >= near) & (side <= far) for near, far in SIDES_PX)
+    ],
+    axis=1,
+).astype(np.float32)
 CELL_STEP_PX = 16
 
 
@@ -86,71 +94,71 @@ def _profiles(strips: Floats32) -> list[RealArray]:
 
 
 def _ridges(strips: Floats32) -> list[RealArray]:
-    """How far the line stands out from the ground at several distances, on both sides at once."""
-    grey, parts = strips @ LUMA, []
+    """How far the line stands out from the ground at D distances, on both sides at once."""
+    count, n_distances = len(strips), len(SIDES_PX)
+    grey = strips @ LUMA
     tone, colour = grey[..., ON_LINE].mean(axis=-1), strips[:, LINE, ON_LINE].mean(axis=2)
-    for distances in SIDES_PX:
-        sides = [
-            np.flatnonzero((sign * ACROSS_PX >= distances[0]) & (sign * ACROSS_PX <= distances[1]))
-            for sign in (-1, 1)
-        ]
-        ground = [grey[..., side].mean(axis=-1) for side in sides]
-        ground_colours = [strips[:, LINE, side].mean(axis=2) for side in sides]
-        sign = np.sign((tone - (ground[0] + ground[1]) / 2)[:, LINE].mean(axis=1, keepdims=True))
-        sign[sign == 0] = 1
-        height = np.minimum(sign * (tone - ground[0]), sign * (tone - ground[1]))
-        parts.append(_ridge(tone[:, LINE], [side[:, LINE] for side in ground], height[:, LINE]))
-        parts.append(_ridge_colours(colour, ground_colours, [side[:, LINE] for side in ground]))
-        if distances in DETAILED:
-            parts += _ridge_details(tone[:, LINE], [side[:, LINE] for side in ground], height)
+    ground = (grey @ SIDE_MEANS).reshape(count, -1, 2, n_distances).transpose(2, 3, 0, 1)
+    ground_colours = np.swapaxes(strips[:, LINE], 2, 3) @ SIDE_MEANS
+    ground_colours = ground_colours.reshape(count, ALONG, 3, 2, n_distances).transpose(3, 4, 0, 1, 2)
+    sign = np.sign((tone - ground.mean(axis=0))[..., LINE].mean(axis=-1, keepdims=True))
+    sign[sign == 0] = 1
+    height = np.minimum(*(sign * (tone - ground)))
+    near = ground[..., LINE]
+    ridges, colours = (
+        _ridge(tone[:, LINE], near, height[..., LINE]),
+        _ridge_colours(colour, ground_colours, near),
+    )
+    details = _ridge_details(tone[:, LINE], near[:, DETAILED], height[DETAILED])
+    parts: list[RealArray] = []
+    for k in range(n_distances):
+        parts += [ridges[k], colours[k]]
+        parts += [details[DETAILED.index(k)]] if k in DETAILED else []
     spreads = [tone[:, LINE].std(axis=1), colour.std(axis=1).max(axis=-1)]
     return [*parts, np.stack(spreads, axis=1) / 20]
 
 
-def _ridge(tone: RealArray, ground: list[RealArray], height: RealArray) -> RealArray:
-    """(C, 8) from the tone of the line, the tones of both grounds, the height of the ridge, all (C, T)."""
-    difference, contrast = ground[0] - ground[1], tone - (ground[0] + ground[1]) / 2
-    mean_contrast = np.abs(contrast.mean(axis=1))
+def _ridge(tone: RealArray, ground: RealArray, height: RealArray) -> RealArray:
+    """(D, C, 8) from tones of the line (C, T) and both grounds (2, D, C, T), and heights of the ridge."""
+    difference, contrast = ground[0] - ground[1], tone - ground.mean(axis=0)
+    mean_contrast = np.abs(contrast.mean(axis=-1))
     values = [
-        np.abs(difference).mean(axis=1) / 20,
-        np.abs(difference.mean(axis=1)) / 20,
+        np.abs(difference).mean(axis=-1) / 20,
+        np.abs(difference.mean(axis=-1)) / 20,
         mean_contrast / 20,
-        mean_contrast / (contrast.std(axis=1) + 2),
-        (height > 2).mean(axis=1),
-        (height > 8).mean(axis=1),
-        np.quantile(height, 0.2, axis=1) / 20,
-        height.mean(axis=1) / 20,
+        mean_contrast / (contrast.std(axis=-1) + 2),
+        (height > 2).mean(axis=-1),
+        (height > 8).mean(axis=-1),
+        np.quantile(height, 0.2, axis=-1) / 20,
+        height.mean(axis=-1) / 20,
     ]
-    return np.stack(values, axis=1)
+    return np.stack(values, axis=-1)
 
 
-def _ridge_colours(colour: RealArray, ground: list[RealArray], tones: list[RealArray]) -> RealArray:
-    """(C, 5) from the colours (C, T, 3) of the line and of both grounds, and the tones of these."""
-    middle, spreads = (ground[0] + ground[1]) / 2, [side.std(axis=1) / 20 for side in tones]
-    apart = np.minimum(np.abs(colour - ground[0]), np.abs(colour - ground[1])).max(axis=-1)
+def _ridge_colours(colour: RealArray, ground: RealArray, tones: RealArray) -> RealArray:
+    """(D, C, 5) from colours of the line (C, T, 3), of both grounds (2, D, C, T, 3), tones of these."""
+    middle, spreads = ground.mean(axis=0), tones.std(axis=-1) / 20
+    apart = np.abs(colour - ground).min(axis=0).max(axis=-1)
     values = [
-        np.abs((ground[0] - ground[1]).mean(axis=1)).max(axis=-1) / 20,
-        np.abs((colour - middle).mean(axis=1)).max(axis=-1) / 20,
-        apart.mean(axis=1) / 20,
-        spreads[0] + spreads[1],
-        np.minimum(*spreads),
+        np.abs((ground[0] - ground[1]).mean(axis=-2)).max(axis=-1) / 20,
+        np.abs((colour - middle).mean(axis=-2)).max(axis=-1) / 20,
+        apart.mean(axis=-1) / 20,
+        spreads.sum(axis=0),
+        spreads.min(axis=0),
     ]
-    return np.stack(values, axis=1)
+    return np.stack(values, axis=-1)
 
 
-def _ridge_details(tone: RealArray, ground: list[RealArray], height: RealArray) -> list[RealArray]:
-    """Whether the line follows the tone of the ground, its ridge by quarters, the ridge beyond the ends."""
-    own = tone - tone.mean(axis=1, keepdims=True)
-    below = (ground[0] + ground[1]) / 2
-    below = below - below.mean(axis=1, keepdims=True)
-    power = (own * own).mean(axis=1) * (below * below).mean(axis=1) + 4
-    quarters = (height[:, LINE] > 3).reshape(len(tone), 4, -1).mean(axis=2)
-    beyond = [height[:, :BEYOND].mean(axis=1) / 20, height[:, BEYOND + ALONG :].mean(axis=1) / 20]
-    return [
-        ((own * below).mean(axis=1) / np.sqrt(power))[:, None],
-        np.sort(quarters, axis=1),
-        _in_order(*beyond),
-    ]
+def _ridge_details(tone: RealArray, ground: RealArray, height: RealArray) -> RealArray:
+    """(D, C, 7): whether the line follows the ground's tone, its ridge by quarters and beyond the ends."""
+    own = tone - tone.mean(axis=-1, keepdims=True)
+    below = ground.mean(axis=0)
+    below = below - below.mean(axis=-1, keepdims=True)
+    power = (own * own).mean(axis=-1) * (below * below).mean(axis=-1) + 4
+    quarters = (height[..., LINE] > 3).reshape(*height.shape[:2], 4, -1).mean(axis=-1)
+    beyond = [height[..., :BEYOND].mean(axis=-1) / 20, height[..., BEYOND + ALONG :].mean(axis=-1) / 20]
+    follows = (own * below).mean(axis=-1) / np.sqrt(power)
+    return np.concatenate([follows[..., None], np.sort(quarters, axis=-1), _in_order(*beyond)], axis=-1)
 
 
 def _ends(inside: Mask, cells: Floats32) -> list[RealArray]:
@@ -177,8 +185,8 @@ def _textures(strips: Floats32) -> list[RealArray]:
 
 
 def _in_order(one: RealArray, other: RealArray) -> RealArray:
-    """(C, 2) the lesser and the greater of two values, since a line has no first side or end."""
-    return np.stack([np.minimum(one, other), np.maximum(one, other)], axis=1)
+    """(..., 2) the lesser and the greater of two values, since a line has no first side or end."""
+    return np.stack([np.minimum(one, other), np.maximum(one, other)], axis=-1)
 
 
 def log_odds(scores: RealArray, least: float) -> RealArray:

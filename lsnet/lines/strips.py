@@ -27,14 +27,16 @@ def cut_strips(image: ImageArray, polylines: Sequence[RealArray]) -> tuple[Float
         (C, T, O, 3) colours, where T = 84 places: 10 before the line, 64 along it, 10 behind it; and
         (C, T, 2) x, y of the places, in pixels, which can be outside the image.
     """
-    placed = [_places(polyline) for polyline in polylines]
-    places, normals = (np.stack(part) for part in zip(*placed, strict=True))
-    at = places[:, :, None] + normals[:, :, None] * ACROSS_PX[:, None] - 0.5
+    places, normals = _places(polylines)
     count = len(polylines)
-    x, y = (at[..., k].reshape(count, -1).astype(np.float32) for k in (0, 1))
+    x, y = (
+        (places[..., k, None] - 0.5 + normals[..., k, None] * ACROSS_PX).reshape(count, -1).astype(np.float32)
+        for k in (0, 1)
+    )
     colours = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     shape = (count, ALONG + 2 * BEYOND, SAMPLES)
-    strips = np.asarray(colours).reshape(*shape, len(ACROSS_PX), 3).mean(axis=2, dtype=np.float32)
+    samples = np.moveaxis(np.asarray(colours).reshape(*shape, len(ACROSS_PX), 3), 2, 0)
+    strips = sum(sample.astype(np.float32) for sample in samples) / np.float32(SAMPLES)
     return np.round(strips), places.reshape(*shape, 2).mean(axis=2)
 
 
@@ -45,20 +47,24 @@ def is_inside(places: Floats, image_size: tuple[int, int]) -> Mask:
     return np.asarray((x >= 0) & (x < width) & (y >= 0) & (y < height))
 
 
-def _places(polyline: RealArray) -> tuple[Floats, Floats]:
-    """Return (168, 2) sampled places of a polyline (K, 2), and the unit normals there."""
+def _places(polylines: Sequence[RealArray]) -> tuple[Floats, Floats]:
+    """Return (C, 168, 2) sampled places of C polylines (K, 2), and the unit normals there."""
     inner, beyond = ALONG * SAMPLES, BEYOND * SAMPLES
-    points, length = resample(polyline, inner + 2)
-    back = max(2, min(inner // 3, int(inner * DIRECTION_PX / max(length, 1.0))))
-    before, behind = (_unit(points[i] - points[j]) for i, j in ((0, back), (-1, -1 - back)))
+    resampled = [resample(polyline, inner + 2) for polyline in polylines]
+    points, lengths = np.stack([line for line, _ in resampled]), np.array([length for _, length in resampled])
+    back = np.clip((inner * DIRECTION_PX / np.maximum(lengths, 1)).astype(np.intp), 2, inner // 3)
+    line = np.arange(len(points))
+    before = _units(points[:, 0] - points[line, back])[:, None]
+    behind = _units(points[:, -1] - points[line, -1 - back])[:, None]
     steps = ((np.arange(beyond) + 0.5) * BEYOND_STEP_PX / SAMPLES)[:, None]
-    places = np.concatenate([points[0] + before * steps[::-1], points[1:-1], points[-1] + behind * steps])
-    slopes = np.pad(np.gradient(points, axis=0)[1:-1], ((SMOOTH, SMOOTH), (0, 0)), mode="edge")
-    window = np.ones(2 * SMOOTH + 1)
-    along = np.stack([np.convolve(slopes[:, k], window, "valid") for k in (0, 1)], axis=1)
-    along = np.concatenate([np.tile(-before, (beyond, 1)), along, np.tile(behind, (beyond, 1))])
-    along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-6)[:, None]
-    return places, np.stack([-along[:, 1], along[:, 0]], axis=1)
+    ends = points[:, :1] + before * steps[::-1], points[:, -1:] + behind * steps
+    slopes = np.pad(np.gradient(points, axis=1)[:, 1:-1], ((0, 0), (SMOOTH, SMOOTH), (0, 0)), mode="edge")
+    along = np.lib.stride_tricks.sliding_window_view(slopes, 2 * SMOOTH + 1, axis=1).sum(axis=-1)
+    along = np.concatenate([np.repeat(-before, beyond, 1), along, np.repeat(behind, beyond, 1)], axis=1)
+    along = _units(along)
+    return np.concatenate([ends[0], points[:, 1:-1], ends[1]], axis=1), np.stack(
+        [-along[..., 1], along[..., 0]], axis=-1
+    )
 
 
 def resample(polyline: RealArray, count: int) -> tuple[Floats, float]:
@@ -68,5 +74,6 @@ def resample(polyline: RealArray, count: int) -> tuple[Floats, float]:
     return np.stack([np.interp(at, steps, polyline[:, k]) for k in (0, 1)], axis=1), float(steps[-1])
 
 
-def _unit(vector: RealArray) -> RealArray:
-    return vector / max(float(np.hypot(*vector)), 1e-6)
+def _units(vectors: RealArray) -> RealArray:
+    """(..., 2) vectors of length 1."""
+    return vectors / np.maximum(np.hypot(vectors[..., 0], vectors[..., 1]), 1e-6)[..., None]

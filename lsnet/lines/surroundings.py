@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from lsnet.lines.proposals import Proposals
 
 CELL_PX, DIRECTIONS = 24, 8  # of the histogram in which proposals are counted
+_APART = (np.arange(DIRECTIONS) - np.arange(DIRECTIONS)[:, None]) % DIRECTIONS
+PARALLEL = (_APART <= 1) | (_APART == DIRECTIONS - 1)  # directions that count as those of each direction
 PLACE_PX = 8  # between the places of a line that are counted
 
 
@@ -26,24 +28,18 @@ def count_neighbours(proposals: Proposals) -> Floats32:
     height, width = proposals.image_size
     rows, columns = int(height // CELL_PX) + 3, int(width // CELL_PX) + 3
     lines = [_bins(polyline, rows, columns) for polyline in proposals.polylines]
-    counts = np.zeros((DIRECTIONS, rows, columns), np.float32)
+    counts = np.zeros((rows, columns, DIRECTIONS), np.float32)
     for cell, turn, step in lines:
-        np.add.at(counts, (turn, cell[:, 0], cell[:, 1]), step)
-    near = np.stack(
-        [
-            cv2.boxFilter(plane, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for plane in counts
-        ]
-    )
+        np.add.at(counts, (cell[:, 0], cell[:, 1], turn), step)
+    near = cv2.boxFilter(counts, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     out = np.zeros((len(lines), 4), np.float32)
     for i, (cell, turn, step) in enumerate(lines):
-        touches = np.abs(cell[:, None] - cell[None]).max(axis=-1) <= 1
+        touches = (np.abs(cell[:, None] - cell) <= 1).all(axis=-1)
         own = touches.astype(np.float32) @ (np.eye(DIRECTIONS, dtype=np.float32)[turn] * step)
-        others = np.maximum(near[:, cell[:, 0], cell[:, 1]].T - own, 0)  # (P, DIRECTIONS)
-        relative = (np.arange(DIRECTIONS) - turn[:, None]) % DIRECTIONS
-        is_parallel = (relative <= 1) | (relative == DIRECTIONS - 1)
-        parallel, across = (others * is_parallel).sum(axis=1), (others * ~is_parallel).sum(axis=1)
-        out[i] = parallel.mean(), across.mean(), np.median(across), np.median(parallel)
+        others = np.maximum(near[cell[:, 0], cell[:, 1]] - own, 0)  # (P, DIRECTIONS)
+        parallel = (others * PARALLEL[turn]).sum(axis=1)
+        across = others.sum(axis=1) - parallel
+        out[i] = parallel.mean(), across.mean(), *np.median([across, parallel], axis=1)
     return np.asarray(out / (3 * CELL_PX), np.float32)
 
 

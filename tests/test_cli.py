@@ -156,7 +156,7 @@ def test_process_goes_on_past_a_recording_that_vanishes(
     monkeypatch.setattr(FakeDetector, "detect", detect)
     outcome = run("process", "a.mcap", "b.mcap", "--json")
     assert outcome.exit_code == 1
-    assert outcome.err == "error: a.mcap: No such file or directory; check the disk and the permissions\n"
+    assert outcome.err == "error: a.mcap: it cannot be read (No such file or directory); check the disk\n"
     assert [json.loads(line)["source"] for line in outcome.out.splitlines()] == ["b.mcap"]
 
 

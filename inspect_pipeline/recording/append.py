@@ -13,10 +13,8 @@ from __future__ import annotations
 import errno
 import os
 import zlib
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from threading import Event
 from typing import TYPE_CHECKING
 
 import zstandard
@@ -26,13 +24,13 @@ from inspect_pipeline.errors import AnnotationChannelError, RecordingError
 from inspect_pipeline.recording.append_chunks import ChunkBuilder, encode_message_indexes, message_index
 from inspect_pipeline.recording.append_summary import Contents, encode_end, encode_records
 from inspect_pipeline.recording.file import Damage, read_extent
-from inspect_pipeline.recording.join import join_parts
+from inspect_pipeline.recording.join import copying_prefix, join_parts
 from inspect_pipeline.recording.part import open_parts
 from inspect_pipeline.recording.summary import MAGIC
 from inspect_pipeline.resources import app_version
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from collections.abc import Set as AbstractSet
     from pathlib import Path
     from typing import BinaryIO
@@ -40,9 +38,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.recording.part import Part
     from inspect_pipeline.recording.reader import Recording
 
-_COPY_BYTES = 256 << 20
 _MAX_ID = 0xFFFF
-_NO_COPY_RANGE = {errno.EXDEV, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM}
 
 
 @contextmanager
@@ -69,7 +65,7 @@ def _prefix_copy(source: Recording, target: Path) -> Iterator[AnnotationWriter]:
         file.seek(end)
         writer = AnnotationWriter(file, source, Contents.of(part), end, part.layout.data_crc)
         writer.index_cut_chunk(part)
-        with _copying(original, file, end):
+        with copying_prefix(original, file, end):
             yield writer
             writer.finish()
 
@@ -243,7 +239,10 @@ def _refuse_annotated(source: Recording) -> None:
 
 
 def _fingerprint(path: Path) -> tuple[int, int, int]:
-    status = path.stat()
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise RecordingError(path, f"it cannot be read ({error.strerror})", "check the disk") from error
     return status.st_size, status.st_mtime_ns, status.st_ino
 
 
@@ -257,40 +256,3 @@ def _removed_on_error(target: Path) -> Iterator[None]:
     except BaseException:
         target.unlink(missing_ok=True)
         raise
-
-
-@contextmanager
-def _copying(source: BinaryIO, target: BinaryIO, length: int) -> Iterator[None]:
-    """Copy the first `length` bytes in a thread: complete on a clean exit, stopped by an exception."""
-    stop = Event()
-    with ThreadPoolExecutor(1) as pool:
-        copy = pool.submit(_copy_prefix, source.fileno(), target.fileno(), length, stop)
-        try:
-            yield
-        except BaseException:
-            stop.set()
-            raise
-        copy.result()
-
-
-def _copy_prefix(source: int, target: int, length: int, stop: Event) -> None:
-    """Copy between descriptors, inside the kernel where the file system supports it."""
-    copy: Callable[[int, int, int, int, int], int] = os.copy_file_range
-    offset = 0
-    while offset < length and not stop.is_set():
-        count = min(length - offset, _COPY_BYTES)
-        try:
-            n_copied = copy(source, target, count, offset, offset)
-        except OSError as error:
-            if error.errno not in _NO_COPY_RANGE or copy is _copy_bytes:
-                raise
-            copy = _copy_bytes
-            continue
-        if n_copied == 0:
-            raise OSError(errno.EIO, "the recording became shorter while it was copied")
-        offset += n_copied
-
-
-def _copy_bytes(source: int, target: int, count: int, source_offset: int, target_offset: int) -> int:
-    """Copy like os.copy_file_range, for file systems without it."""
-    return os.pwrite(target, os.pread(source, min(count, 1 << 20), source_offset), target_offset)

@@ -22,9 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from inspect_pipeline.atomic import (
-    OUT_OF_SPACE,
     acquire_lock,
-    explain_os_error,
     fsync_path,
     fsync_tree,
     move_folder_into_place,
@@ -172,21 +170,16 @@ class Store:
     def write_flight(self, flight_id: str) -> Iterator[Staging]:
         """Yield a folder to write a flight in; without a commit it is removed after the block.
 
-        Leftovers of killed processes are removed first. Raises StoreError.
+        Leftovers of killed processes are removed first. Raises StoreError, also for any OSError of the block:
+        those of recordings are RecordingErrors.
         """
         with store_errors(self.root):
             self._flights.mkdir(parents=True, exist_ok=True)
             self._staging.mkdir(exist_ok=True)
         path = self._staging / f"{self.flight_dir(flight_id).name}-{secrets.token_hex(4)}"
-        with self._own(path):
-            try:
-                with store_errors(self.root):
-                    path.mkdir()
-                yield Staging(path, self)
-            except OSError as error:
-                if error.errno in OUT_OF_SPACE:
-                    raise explain_os_error(self.root, error) from error
-                raise
+        with self._own(path), store_errors(self.root):
+            path.mkdir()
+            yield Staging(path, self)
 
     def remove_annotated_copy(self, stored: StoredFlight) -> None:
         """Remove the annotated copy of a flight, after noting it in its record; raises StoreError.

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import struct
 from collections import Counter
 from typing import TYPE_CHECKING
@@ -237,6 +238,21 @@ def test_a_file_system_without_copy_range_is_copied_too(
     source = make_recording(tmp_path / "a.mcap", shots(5))
     annotate(source, tmp_path / "b.mcap")
     assert len(messages(tmp_path / "b.mcap", seeking=True)) == 5 * 3 + 12
+
+
+@pytest.mark.parametrize(("call", "error"), [("pread", RecordingError), ("pwrite", OSError)])
+def test_errors_of_the_source_differ_from_those_of_the_target(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, error: type[Exception]
+) -> None:
+    def refuse(*args) -> int:
+        raise OSError(errno.EIO, "Input/output error")
+
+    source = make_recording(tmp_path / "a.mcap", shots(5))
+    for name in ("copy_file_range", call):
+        monkeypatch.setattr(f"os.{name}", refuse)
+    with pytest.raises(error, match="Input/output error"):
+        annotate(source, tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
 
 
 @pytest.mark.parametrize("name", ["zstd", "unchunked", "unindexed"])

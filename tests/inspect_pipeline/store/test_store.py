@@ -14,7 +14,7 @@ import flights
 import numpy as np
 import pytest
 
-from inspect_pipeline.errors import StoreBusyError, StoreError, StoreVersionError
+from inspect_pipeline.errors import RecordingError, StoreBusyError, StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.store.store import Store, store_path
 from inspect_pipeline.tracking.tracker import TrackRow
@@ -180,7 +180,10 @@ def test_reprocessing_replaces_the_folder(store: Store) -> None:
 
 def test_a_failed_flight_leaves_nothing(store: Store) -> None:
     flights.write_flight(store, "a")
-    with pytest.raises(IsADirectoryError), store.write_flight(flights.flight_id_of("a")) as staging:
+    with (
+        pytest.raises(StoreError, match="Is a directory"),
+        store.write_flight(flights.flight_id_of("a")) as staging,
+    ):
         staging.path.write_bytes(b"half")
     with store.write_flight(flights.flight_id_of("b")):
         pass  # left without commit
@@ -255,11 +258,19 @@ def test_a_store_that_cannot_be_written(
     assert str(store.root) in str(caught.value)
 
 
-def test_no_space_met_by_the_pipeline_itself(store: Store) -> None:
-    with pytest.raises(StoreError, match="no space left"), store.write_flight(flights.flight_id_of("a")):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    with pytest.raises(FileNotFoundError), store.write_flight(flights.flight_id_of("a")):
-        raise FileNotFoundError("the recording")
+@pytest.mark.parametrize(
+    ("error", "raised", "text"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), StoreError, "no space left"),
+        (OSError(errno.EIO, "Input/output error"), StoreError, "Input/output error; check the disk"),
+        (RecordingError("a.mcap", "it cannot be read", "check the disk"), RecordingError, "a.mcap"),
+    ],
+)
+def test_errors_of_the_disk_while_a_flight_is_written(
+    store: Store, error: Exception, raised: type[Exception], text: str
+) -> None:
+    with pytest.raises(raised, match=text), store.write_flight(flights.flight_id_of("a")):
+        raise error
 
 
 def test_damaged_results_are_no_results(store: Store) -> None:

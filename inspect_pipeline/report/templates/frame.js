@@ -10,7 +10,9 @@
 
   function toPixel(event) {
     const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
-    return [at.x, at.y].map((value) => Math.round(value * 10) / 10);
+    const { width, height } = svg.viewBox.baseVal;
+    const inside = [Math.min(Math.max(at.x, 0), width), Math.min(Math.max(at.y, 0), height)];
+    return inside.map((value) => Math.round(value * 10) / 10);
   }
 
   function draw() {

@@ -29,6 +29,11 @@ def angle_between(a: RealArray, b: RealArray) -> RealArray:
     return np.minimum(difference, np.pi - difference)
 
 
+def cross(a: RealArray, b: RealArray) -> RealArray:
+    """Return (N,) cross products of vectors (N, 2)."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
 def clip_to_boxes(endpoints: ArrayLike, boxes: ArrayLike) -> tuple[RealArray, RealArray]:
     """Clip each segment to each axis-parallel box (Liang and Barsky).
 

@@ -40,7 +40,9 @@ class Postprocessor:
         rate = None
         if self.line_score:
             height, width = image.scaled_size
-            rate = partial(self.line_score.rate, image.pixels[:height, :width], maps[0])
+            rate = partial(
+                self.line_score.rate, image.pixels[:height, :width], maps[0], min_score=self.min_score
+            )
         chained = chain_segments(segments, self.chaining, enlargement=max(image.scale, 1.0), rate=rate)
         return chained.above(self.min_score).scaled_to(image.source_size)
 

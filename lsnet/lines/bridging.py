@@ -11,6 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from lsnet.geometry import cross
+from lsnet.lines.polylines import Polylines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,39 +37,48 @@ def group_stretches(polylines: Sequence[Floats], max_gap_px: float) -> Indices:
     count = len(polylines)
     if count < 2:
         return np.arange(count)
-    places, outwards = _ends(polylines)
-    cost = _costs(places, outwards, max_gap_px)
-    partner = cost.argmin(axis=1)
-    ends = np.arange(2 * count)
-    is_joined = np.isfinite(cost[ends, partner]) & (partner[partner] == ends)
-    one, other = ends[is_joined] // 2, partner[is_joined] // 2
-    graph = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(count, count))
+    one, other = _partners(*_ends(Polylines.of(polylines)), max_gap_px)
+    if not len(one):
+        return np.arange(count)
+    graph = coo_array((np.ones(len(one), np.int8), (one // 2, other // 2)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], np.intp)
 
 
-def _ends(polylines: Sequence[Floats]) -> tuple[Floats, Floats]:
+def _ends(lines: Polylines) -> tuple[Floats, Floats]:
     """(2 C, 2) a place near each end, start before end, and (2 C, 2) the outward unit vectors there."""
-    places, outwards = [], []
-    for polyline in polylines:
-        steps = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(polyline, axis=0).T))])
-        near = min(FROM_END_PX, steps[-1] / 4)
-        far = min(REACH_PX, 0.9 * steps[-1])
-        for at in ((near, far), (steps[-1] - near, steps[-1] - far)):
-            place, behind = np.stack([np.interp(at, steps, polyline[:, k]) for k in (0, 1)], axis=1)
-            places.append(place)
-            outwards.append((place - behind) / np.hypot(*(place - behind)))
-    return np.array(places), np.array(outwards)
+    length_px = lines.lengths_px
+    near_px, far_px = np.minimum(FROM_END_PX, length_px / 4), np.minimum(REACH_PX, 0.9 * length_px)
+    at_px = np.stack([near_px, far_px, length_px - near_px, length_px - far_px], axis=1)
+    found = lines.at(np.arange(len(length_px))[:, None], at_px).reshape(-1, 2, 2)
+    places, between = found[:, 0], found[:, 0] - found[:, 1]
+    return places, between / np.hypot(between[:, 0], between[:, 1])[:, None]
+
+
+def _partners(places: Floats, outwards: Floats, max_gap_px: float) -> tuple[Indices, Indices]:
+    """Return the pairs of ends (2 C, 2) that fit, each the other's best match."""
+    reach_px = (max_gap_px + 2 * FROM_END_PX + OFFSET_PX) / (1 - OFFSET_PER_PX)
+    pairs = cKDTree(places).query_pairs(reach_px, output_type="ndarray")
+    pairs = pairs[pairs[:, 0] // 2 != pairs[:, 1] // 2]
+    cost = _costs(places[pairs], outwards[pairs], max_gap_px)
+    fits = np.isfinite(cost)
+    pairs, cost = np.concatenate([pairs[fits], pairs[fits, ::-1]]), np.tile(cost[fits], 2)
+    pairs = pairs[np.lexsort((pairs[:, 1], cost, pairs[:, 0]))]
+    is_best = np.diff(pairs[:, 0], prepend=-1) > 0
+    partner = np.full(len(places), -1)
+    partner[pairs[is_best, 0]] = pairs[is_best, 1]
+    ends = np.flatnonzero(partner >= 0)
+    ends = ends[partner[partner[ends]] == ends]
+    return ends, partner[ends]
 
 
 def _costs(places: Floats, outwards: Floats, max_gap_px: float) -> Floats:
-    """(2 C, 2 C) cost of joining each end with each other one, infinite where they do not fit."""
-    between = places[None] - places[:, None]
-    ahead = (between * outwards[:, None]).sum(-1)  # of the other's place, in this end's direction
-    aside = np.abs(outwards[:, None, 0] * between[..., 1] - outwards[:, None, 1] * between[..., 0])
-    gap = np.minimum(ahead, ahead.T) - 2 * FROM_END_PX
-    offset, turn = np.maximum(aside, aside.T), -(outwards @ outwards.T)
+    """(P,) cost of joining P pairs of ends (P, 2, 2), infinite where they do not fit."""
+    between = places[:, 1] - places[:, 0]
+    one, other = outwards[:, 0], outwards[:, 1]
+    # Of each end's place, in the other's direction and aside of it.
+    gap = np.minimum((between * one).sum(axis=1), -(between * other).sum(axis=1)) - 2 * FROM_END_PX
+    offset = np.maximum(np.abs(cross(one, between)), np.abs(cross(other, between)))
+    turn = -(one * other).sum(axis=1)
     fits = (gap <= max_gap_px) & (gap >= -MAX_OVERLAP_PX) & (turn >= np.cos(np.radians(MAX_TURN_DEG)))
-    fits &= offset <= OFFSET_PX + OFFSET_PER_PX * np.abs(between).max(-1)
-    own = np.arange(len(places)) // 2
-    fits &= own[:, None] != own
+    fits &= offset <= OFFSET_PX + OFFSET_PER_PX * np.abs(between).max(axis=1)
     return np.where(fits, offset + 0.1 * np.maximum(gap, 0), np.inf)

@@ -17,10 +17,11 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lsnet.geometry import angle_between, length, orientation
+from lsnet.geometry import angle_between, cross, length, orientation
 from lsnet.lines.bridging import group_stretches
 from lsnet.lines.fitting import Chains, fit_chains
 from lsnet.lines.proposals import Proposals
+from lsnet.lines.quantiles import group_quantiles
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def propose_lines(
         support=fit.support,
         extent_px=fit.extent_px,
         spread_px=fit.spread_px,
-        quantiles=np.array([np.quantile(scores[own], (0.1, 0.5, 0.9)) for own in members]),
+        quantiles=group_quantiles(scores[chains.members], chains.first, (0.1, 0.5, 0.9)),
         image_size=segments.image_size,
         enlargement=enlargement,
     )
@@ -162,12 +163,7 @@ def _link(ends: Floats, config: ChainingConfig) -> tuple[Indices, Floats]:
     i, j = pairs[:, 0], pairs[:, 1]
     directions = (ends[:, 2:] - ends[:, :2]) / lengths[:, None]
     between = middles[j] - middles[i]
-    offsets = np.maximum(np.abs(_cross(directions[i], between)), np.abs(_cross(directions[j], between)))
+    offsets = np.maximum(np.abs(cross(directions[i], between)), np.abs(cross(directions[j], between)))
     gaps = np.abs((directions[i] * between).sum(1)) - (lengths[i] + lengths[j]) / 2
     is_linked = (offsets <= config.max_offset_px) & (gaps <= config.max_gap_px)
     return pairs[is_linked], offsets[is_linked]
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    out: Floats = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return out

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 LAYERS = 3
 LEAST_DOUBT = 0.01  # of the odds of segments
+MAX_RAISE = 1.5  # of the logit, by the networks: of weak proposals on evaluation images 0.6
 MAX_DEVIATIONS = 4.0  # features beyond are cut
 
 
@@ -60,11 +61,19 @@ class LineScore:
         out: Floats32 = (x @ self.weights[-1] + self.biases[-1])[..., 0]
         return out
 
-    def rate(self, image: ImageArray, cell_scores: Floats32, proposals: Proposals) -> Floats:
-        """Return (C,) scores of proposals in an image (H, W, 3), from scores (R, K) of its cells."""
-        learned = self.logits(features_of(image, cell_scores, proposals))
-        prior = log_odds(proposals.prior, LEAST_DOUBT)
-        logits = self.blend[:-2] @ learned + self.blend[-2] * prior + self.blend[-1]
+    def rate(
+        self, image: ImageArray, cell_scores: Floats32, proposals: Proposals, min_score: float = 0.0
+    ) -> Floats:
+        """Return (C,) scores of proposals in an image (H, W, 3), from scores (R, K) of its cells.
+
+        Proposals that the networks would have to raise by more than `MAX_RAISE` to `min_score` are not
+        looked at: their score is without the networks.
+        """
+        logits = self.blend[-2] * log_odds(proposals.prior, LEAST_DOUBT) + self.blend[-1]
+        within_reach = np.flatnonzero(logits + MAX_RAISE >= log_odds(np.array(min_score), 1e-9))
+        if len(within_reach):
+            learned = self.logits(features_of(image, cell_scores, proposals, within_reach))
+            logits[within_reach] += self.blend[:-2] @ learned
         out: Floats = 1 / (1 + np.exp(-logits))
         return out
 

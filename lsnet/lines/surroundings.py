@@ -7,49 +7,70 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from lsnet.lines.strips import resample
+from lsnet.lines.quantiles import group_quantiles
 
 if TYPE_CHECKING:
-    from lsnet.arrays import Floats32, Indices, RealArray
-    from lsnet.lines.proposals import Proposals
+    from lsnet.arrays import Floats, Floats32, Indices
+    from lsnet.lines.polylines import Polylines
 
 CELL_PX, DIRECTIONS = 24, 8  # of the histogram in which proposals are counted
 _APART = (np.arange(DIRECTIONS) - np.arange(DIRECTIONS)[:, None]) % DIRECTIONS
-PARALLEL = (_APART <= 1) | (_APART == DIRECTIONS - 1)  # directions that count as those of each direction
+PARALLEL = ((_APART <= 1) | (_APART == DIRECTIONS - 1)).astype(
+    float
+)  # directions that count as those of each
 PLACE_PX = 8  # between the places of a line that are counted
 
 
-def count_neighbours(proposals: Proposals) -> Floats32:
+def count_neighbours(lines: Polylines, image_size: tuple[int, int]) -> Floats32:
     """Return (C, 4) lengths of other proposals within a cell of each line, in sides of the 72 px window.
 
     In order: the mean over the line of parallel ones, the mean of others, the median of others, the median of
     parallel ones.
     """
-    height, width = proposals.image_size
-    rows, columns = int(height // CELL_PX) + 3, int(width // CELL_PX) + 3
-    lines = [_bins(polyline, rows, columns) for polyline in proposals.polylines]
-    counts = np.zeros((rows, columns, DIRECTIONS), np.float32)
-    for cell, turn, step in lines:
-        np.add.at(counts, (cell[:, 0], cell[:, 1], turn), step)
-    near = cv2.boxFilter(counts, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    out = np.zeros((len(lines), 4), np.float32)
-    for i, (cell, turn, step) in enumerate(lines):
-        touches = (np.abs(cell[:, None] - cell) <= 1).all(axis=-1)
-        own = touches.astype(np.float32) @ (np.eye(DIRECTIONS, dtype=np.float32)[turn] * step)
-        others = np.maximum(near[cell[:, 0], cell[:, 1]] - own, 0)  # (P, DIRECTIONS)
-        parallel = (others * PARALLEL[turn]).sum(axis=1)
-        across = others.sum(axis=1) - parallel
-        out[i] = parallel.mean(), across.mean(), *np.median([across, parallel], axis=1)
-    return np.asarray(out / (3 * CELL_PX), np.float32)
+    rows, columns = (int(side // CELL_PX) + 3 for side in image_size)
+    counts = np.maximum(4, (lines.lengths_px / PLACE_PX).astype(np.intp))
+    line, cell, turn = _bins(lines, counts, rows, columns)
+    step_px = (lines.lengths_px / counts)[line]
+    place = (cell[:, 0] * columns + cell[:, 1]) * DIRECTIONS + turn
+    total_px = np.bincount(place, step_px, rows * columns * DIRECTIONS).reshape(rows, columns, DIRECTIONS)
+    near_px = cv2.boxFilter(total_px, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+
+    width = columns + 2  # of the keys: a cell has no neighbour beyond the border, nor in another line
+    key = (line * (rows + 2) + cell[:, 0]) * width + cell[:, 1]
+    keys, seen, which = np.unique(key, return_index=True, return_inverse=True)
+    own_px = np.bincount(which * DIRECTIONS + turn, step_px, len(keys) * DIRECTIONS).astype(float)
+    own_near_px = _sums_around(keys, own_px.reshape(-1, DIRECTIONS), width)
+    others_px = np.maximum(near_px[cell[seen, 0], cell[seen, 1]] - own_near_px, 0)
+    parallel_px = (others_px @ PARALLEL)[which, turn]
+    across_px = others_px.sum(axis=1)[which] - parallel_px
+
+    first = np.concatenate([[0], np.cumsum(counts)])
+    means = [np.add.reduceat(values, first[:-1]) / counts for values in (parallel_px, across_px)]
+    medians = [group_quantiles(values, first, [0.5])[:, 0] for values in (across_px, parallel_px)]
+    return (np.stack([*means, *medians], axis=1) / (3 * CELL_PX)).astype(np.float32)
 
 
-def _bins(polyline: RealArray, rows: int, columns: int) -> tuple[Indices, Indices, float]:
-    """Return (P, 2) cells and (P,) directions of the pieces of a line, and the length of a piece, px."""
-    length = float(np.hypot(*np.diff(polyline, axis=0).T).sum())
-    count = max(4, int(length / PLACE_PX))
-    points = resample(polyline, count + 1)[0]
-    middles, steps = (points[1:] + points[:-1]) / 2, np.diff(points, axis=0)
+def _sums_around(keys: Indices, values: Floats, width: int) -> Floats:
+    """(U, V) sums of the values (U, V) of the cells with sorted keys (U,), each over the 3 x 3 around it."""
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    centres = keys[:, None] + np.array([-width, 0, width])
+    begin, end = np.searchsorted(keys, centres - 1), np.searchsorted(keys, centres + 1, side="right")
+    out: Floats = (sums[end] - sums[begin]).sum(axis=1)
+    return out
+
+
+def _bins(lines: Polylines, counts: Indices, rows: int, columns: int) -> tuple[Indices, Indices, Indices]:
+    """Return (N,) line, (N, 2) cell and (N,) direction of the pieces, `counts` (C,) of each line."""
+    ends = counts + 1
+    number = np.repeat(np.arange(len(counts)), ends)
+    last = np.cumsum(ends) - 1
+    of_line = np.arange(len(number)) - (last - counts)[number]
+    points = lines.at(number, of_line * (lines.lengths_px / counts)[number])
+    middles, steps = (points[1:] + points[:-1]) / 2, points[1:] - points[:-1]
+    is_piece = np.ones(len(steps), bool)
+    is_piece[last[:-1]] = False
+    middles, steps = middles[is_piece], steps[is_piece]
     cell = np.clip((middles[:, ::-1] // CELL_PX).astype(np.intp) + 1, 0, (rows - 1, columns - 1))
     angle = np.mod(np.arctan2(steps[:, 1], steps[:, 0]), np.pi)
     turn = np.mod((angle / np.pi * DIRECTIONS + 0.5).astype(np.intp), DIRECTIONS)
-    return cell, turn, length / count
+    return number[:-1][is_piece], cell, turn

@@ -13,7 +13,7 @@ from lsnet.geometry import angle_between
 from lsnet.grid import GridCoder
 from lsnet.lines.chaining import ChainingConfig, propose_lines
 from lsnet.lines.features import features_of
-from lsnet.lines.strips import resample
+from lsnet.lines.polylines import Polylines
 from lsnet.postprocess import clip_segments
 from lsnet.preprocess import automatic_scale, prepare
 from lsnet.synth.clutter.clutter import add_clutter
@@ -142,6 +142,6 @@ def shares_on(polylines: Sequence[RealArray], lines: Sequence[RealArray], enlarg
 def _sampled(line: RealArray, step_px: float) -> tuple[Floats, Floats]:
     """Return the middles of pieces of a line (K, 2), about `step_px` long, and their angles."""
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
-    points = resample(line, max(2, round(length / step_px)) + 1)[0]
+    points = Polylines.of([line]).spaced(max(2, round(length / step_px)) + 1)[0]
     steps = np.diff(points, axis=0)
     return (points[1:] + points[:-1]) / 2, np.arctan2(steps[:, 1], steps[:, 0])

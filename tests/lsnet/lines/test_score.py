@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -110,3 +111,14 @@ def test_the_shipped_score_prefers_a_wire_to_a_kerb() -> None:
     proposal = proposals_of(([[0.0, 60.5], [319.0, 110.5]],))
     on_wire, on_kerb = (score.rate(image, cells, proposal)[0] for image in (wire, kerb))
     assert on_wire > on_kerb + 0.1
+
+
+def test_lines_out_of_reach_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    score, cells = a_score(), np.full((SIZE[0] // 16 - 1, SIZE[1] // 16 - 1), 0.1, np.float32)
+    proposals = replace(proposals_of(WIRES), prior=np.array([0.01, 0.4]))
+    every = score.rate(textured(), cells, proposals)
+    some = score.rate(textured(), cells, proposals, min_score=0.5)
+    assert some[1] == pytest.approx(every[1], abs=1e-6)
+    assert some[0] == pytest.approx(1 / (1 + 99**0.7))  # odds of 1 in 99, to the power of their factor
+    monkeypatch.setattr("lsnet.lines.score.features_of", None)
+    assert (score.rate(textured(), cells, proposals, min_score=0.99) < 0.99).all()

@@ -43,7 +43,9 @@ class Postprocessor:
             rate = partial(
                 self.line_score.rate, image.pixels[:height, :width], maps[0], min_score=self.min_score
             )
-        chained = chain_segments(segments, self.chaining, enlargement=max(image.scale, 1.0), rate=rate)
+        chained = chain_segments(
+            segments, self.chaining, max(image.scale, 1.0), rate=rate, min_score=self.min_score
+        )
         return chained.above(self.min_score).scaled_to(image.source_size)
 
 

@@ -9,17 +9,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from lsnet.geometry import cross
-from lsnet.lines.polylines import Polylines
+from lsnet.lines.components import components
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from lsnet.arrays import Floats, Indices
+    from lsnet.lines.polylines import Polylines
 
 FROM_END_PX = 24.0  # the last segments of a chain may lean towards the obstacle
 REACH_PX = 80.0  # over which the direction of an end is measured
@@ -28,20 +25,16 @@ MAX_TURN_DEG = 4.0  # between the directions of two ends
 OFFSET_PX, OFFSET_PER_PX = 1.0, 0.02  # largest offset from the other's line: fixed, and per px of gap
 
 
-def group_stretches(polylines: Sequence[Floats], max_gap_px: float) -> Indices:
-    """Assign each polyline (K, 2) to a line; (C,) the number of the line.
+def group_stretches(lines: Polylines, max_gap_px: float) -> Indices:
+    """Assign each polyline to a line; (C,) the number of the line.
 
     Two ends are joined when they face each other over at most `max_gap_px`, lie on each other's line, and
     each is the other's best match.
     """
-    count = len(polylines)
-    if count < 2:
-        return np.arange(count)
-    one, other = _partners(*_ends(Polylines.of(polylines)), max_gap_px)
-    if not len(one):
-        return np.arange(count)
-    graph = coo_array((np.ones(len(one), np.int8), (one // 2, other // 2)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], np.intp)
+    if len(lines) < 2:
+        return np.arange(len(lines))
+    one, other = _partners(*_ends(lines), max_gap_px)
+    return components(len(lines), np.stack([one, other], axis=1) // 2)
 
 
 def _ends(lines: Polylines) -> tuple[Floats, Floats]:

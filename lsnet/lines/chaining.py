@@ -53,7 +53,11 @@ class ChainingConfig:
 
 
 def chain_segments(
-    segments: Segments, config: ChainingConfig, enlargement: float = 1.0, rate: Rate | None = None
+    segments: Segments,
+    config: ChainingConfig,
+    enlargement: float = 1.0,
+    rate: Rate | None = None,
+    min_score: float = 0.0,
 ) -> Detections:
     """Merge the segments of one image into lines.
 
@@ -62,35 +66,31 @@ def chain_segments(
         config: What counts as one line.
         enlargement: Factor by which the image was enlarged before detection.
         rate: Returns the scores of proposals. Default: the odds of their segments times their length.
+        min_score: Lines with a lower score are left out.
 
     Returns:
         The given segments, the lines with the highest score first, and the line of each segment.
     """
     strong = np.flatnonzero(segments.scores >= config.min_segment_score)
-    proposals, members = propose_lines(segments.above(config.min_segment_score), enlargement, config)
+    proposals, chains = propose_lines(segments.above(config.min_segment_score), enlargement, config)
     scores = proposals.prior if rate is None or not len(proposals) else rate(proposals)
     order = np.argsort(-scores, kind="stable")
+    order = order[scores[order] >= min_score]
+    rank = np.full(len(scores), -1, np.int32)
+    rank[order] = np.arange(len(order))
     line_of = np.full(len(segments), -1, np.int32)
-    for k, i in enumerate(order):
-        line_of[strong[members[i]]] = k
+    line_of[strong[chains.members]] = rank[chains.number]
     points = tuple(_simplified(proposals.polylines[i], config) for i in order)
     lines = Lines(points, scores[order].astype(np.float32), segments.image_size)
     return Detections(segments, lines, line_of)
 
 
-def propose_lines(
-    segments: Segments, enlargement: float, config: ChainingConfig
-) -> tuple[Proposals, list[Indices]]:
-    """Chain segments; return the proposals, and the segments of each."""
+def propose_lines(segments: Segments, enlargement: float, config: ChainingConfig) -> tuple[Proposals, Chains]:
+    """Chain segments; return the proposals, and their chains."""
     ends, scores = segments.endpoints.astype(float), segments.scores.astype(float)
-    chains = _chain(ends, scores, config)
-    members = [chains.members_of(k) for k in range(len(chains.first) - 1)]
-    if not members:
-        none, size = np.zeros(0), segments.image_size
-        return Proposals([], none, none, none, none, none, np.zeros((0, 3)), size, enlargement), []
-    fit = fit_chains(ends[chains.members], scores[chains.members], chains, config.step_px)
+    chains, fit = _chain(ends, scores, config)
     proposals = Proposals(
-        polylines=[fit.polyline(k) for k in range(len(members))],
+        polylines=fit.polylines,
         prior=_prior(fit, min(segments.image_size) / enlargement, config),
         mean_score=fit.mean_score,
         support=fit.support,
@@ -100,7 +100,7 @@ def propose_lines(
         image_size=segments.image_size,
         enlargement=enlargement,
     )
-    return proposals, members
+    return proposals, chains
 
 
 def _prior(fit: ChainFits, shorter_side_px: float, config: ChainingConfig) -> Floats:
@@ -116,32 +116,42 @@ def _prior(fit: ChainFits, shorter_side_px: float, config: ChainingConfig) -> Fl
     return out
 
 
-def _chain(ends: Floats, scores: Floats, config: ChainingConfig) -> Chains:
+def _chain(ends: Floats, scores: Floats, config: ChainingConfig) -> tuple[Chains, ChainFits]:
     """Chain segments (N, 4) with scores (N,).
 
     Cables a few pixels apart can end up in one chain. Its segments then lie on both sides of its
     polyline, and they are linked again with a smaller tolerance.
     """
-    parts: list[Indices] = []
-    polylines: list[Floats] = []
-    pairs, offsets = np.zeros((0, 2), np.intp), np.zeros(0)
-    if len(ends):
-        pairs, offsets = _link(ends, config)
+    chains, fit = _chain_straight(ends, scores, config)
+    labels = group_stretches(fit.polylines, config.max_bridge_px)
+    if labels.max(initial=-1) + 1 < len(labels):
+        chains = chains.joined(labels)
+        fit = fit_chains(ends, scores, chains, config.step_px)
+    return chains, fit
+
+
+def _chain_straight(ends: Floats, scores: Floats, config: ChainingConfig) -> tuple[Chains, ChainFits]:
+    """Chain linked segments."""
+    pairs, offsets = _link(ends, config)
+    found: list[Chains] = []
     left, tolerance_px = np.arange(len(ends)), config.max_offset_px
-    while len(left):
+    while True:
         chains = Chains.connected(ends, pairs[offsets <= tolerance_px], left, config.min_length_px)
-        if not len(chains.members):
-            break
-        fit = fit_chains(ends[chains.members], scores[chains.members], chains, config.step_px)
+        fit = fit_chains(ends, scores, chains, config.step_px)
         is_wide = (fit.spread_px > config.max_spread_px) & (tolerance_px > MIN_OFFSET_PX)
-        for k in np.flatnonzero(~is_wide & (fit.extent_px >= config.min_length_px)):
-            parts.append(chains.members_of(int(k)))
-            polylines.append(fit.polyline(int(k)))
+        is_kept = ~is_wide & (fit.extent_px >= config.min_length_px)
+        if not found and is_kept.all():
+            return chains, fit
+        found.append(chains.chosen(is_kept))
+        if not is_wide.any():
+            chains = Chains.together(found)
+            return chains, fit_chains(ends, scores, chains, config.step_px)
         left = chains.members[is_wide[chains.number]]
-        is_left = np.isin(pairs, left).all(axis=1)
-        pairs, offsets = pairs[is_left], offsets[is_left]
+        is_left = np.zeros(len(ends), bool)
+        is_left[left] = True
+        is_linked = is_left[pairs].all(axis=1)
+        pairs, offsets = pairs[is_linked], offsets[is_linked]
         tolerance_px *= TIGHTENING
-    return Chains.joined(parts, group_stretches(polylines, config.max_bridge_px))
 
 
 def _simplified(polyline: Floats, config: ChainingConfig) -> Floats32:
@@ -156,7 +166,7 @@ def _link(ends: Floats, config: ChainingConfig) -> tuple[Indices, Floats]:
         (P, 2) pairs of segments, and (P,) the larger distance of one's midpoint from the other's line, px.
     """
     middles, lengths = (ends[:, :2] + ends[:, 2:]) / 2, np.maximum(length(ends), 1e-9)
-    pairs = cKDTree(middles).query_pairs(lengths.max() + config.max_gap_px, output_type="ndarray")
+    pairs = cKDTree(middles).query_pairs(lengths.max(initial=0) + config.max_gap_px, output_type="ndarray")
     angles = orientation(ends)
     is_parallel = angle_between(angles[pairs[:, 0]], angles[pairs[:, 1]]) <= np.radians(config.max_angle_deg)
     pairs = pairs[is_parallel]

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lsnet.geometry import cross
-from lsnet.lines.polylines import Polylines
 from lsnet.lines.quantiles import row_quantiles
 from lsnet.lines.strips import ACROSS_PX, ALONG, BEYOND, cut_strips, is_inside
 from lsnet.lines.surroundings import count_neighbours
 
 if TYPE_CHECKING:
-    from lsnet.arrays import Floats, Floats32, ImageArray, Indices, Mask, RealArray
+    from lsnet.arrays import Floats32, ImageArray, Indices, Mask, RealArray
     from lsnet.lines.proposals import Proposals
 
 FEATURES = 180
@@ -48,8 +47,7 @@ def features_of(
         chosen: Which of them; all by default.
     """
     chosen = np.arange(len(proposals)) if chosen is None else chosen
-    lines = Polylines.of([proposals.polylines[i] for i in chosen])
-    strips, places = cut_strips(image, lines)
+    strips, places = cut_strips(image, proposals.polylines, chosen)
     inside = is_inside(places, proposals.image_size)
     cells = _scores_along(cell_scores, places)
     tone = strips[:, :, ON_LINE].mean(axis=2)
@@ -66,7 +64,7 @@ def features_of(
     return np.concatenate(parts, axis=1, dtype=np.float32)
 
 
-def _scores_along(scores: Floats32, places: Floats) -> Floats32:
+def _scores_along(scores: Floats32, places: Floats32) -> Floats32:
     """(C, T) second highest of the scores of the four cells around each place (2, C, T)."""
     rows, columns = scores.shape
     x = np.clip(places[0] / CELL_STEP_PX - 1, 0, columns - 1)
@@ -226,7 +224,7 @@ def log_odds(scores: RealArray, least: float) -> RealArray:
 def _shapes(proposals: Proposals) -> RealArray:
     """(C, 20) odds, length, shape and place of the proposals, and what is near them."""
     height, width = proposals.image_size
-    lines = Polylines.of(proposals.polylines)
+    lines = proposals.polylines
     start, end = lines.points[lines.first[:-1]], lines.points[lines.first[1:] - 1]
     ends = np.stack([start, end], axis=1)
     margins = np.minimum(ends, np.array([width, height]) - ends).min(axis=-1)

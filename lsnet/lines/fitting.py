@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from lsnet.geometry import length
+from lsnet.lines.components import components
+from lsnet.lines.polylines import Polylines
 
 if TYPE_CHECKING:
-    from lsnet.arrays import Floats, Indices
+    from collections.abc import Sequence
+
+    from lsnet.arrays import Floats, Indices, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,9 +32,7 @@ class Chains:
     @classmethod
     def connected(cls, ends: Floats, pairs: Indices, left: Indices, min_length_px: float) -> Chains:
         """Chain the segments `left` that `pairs` connect; drop chains whose bounding box is too small."""
-        ones = np.ones(len(pairs), np.int8)
-        graph = coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(ends), len(ends)))
-        chain_of = connected_components(graph, directed=False)[1][left]
+        chain_of = components(len(ends), pairs)[left]
         order = np.argsort(chain_of, kind="stable")
         chain_of, members = chain_of[order], left[order]
         starts = np.flatnonzero(np.diff(chain_of, prepend=-1))
@@ -41,24 +41,28 @@ class Chains:
         low = np.minimum.reduceat(np.minimum(start, end), starts)
         high = np.maximum.reduceat(np.maximum(start, end), starts)
         is_long = np.hypot(*(high - low).T) >= min_length_px
-        members, counts = members[np.repeat(is_long, counts)], counts[is_long]
-        return cls(
-            members, np.repeat(np.arange(len(counts)), counts), np.concatenate([[0], np.cumsum(counts)])
-        )
+        return cls.of(members[np.repeat(is_long, counts)], counts[is_long])
 
     @classmethod
-    def joined(cls, parts: list[Indices], labels: Indices) -> Chains:
-        """Join the parts that have the same label."""
-        if not parts:
-            return cls(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(1, np.intp))
-        number = np.repeat(labels, [len(part) for part in parts])
-        order = np.argsort(number, kind="stable")
-        counts = np.bincount(number)
-        return cls(np.concatenate(parts)[order], number[order], np.concatenate([[0], np.cumsum(counts)]))
+    def of(cls, members: Indices, counts: Indices) -> Chains:
+        """Divide members (M,) into chains of `counts` (C,)."""
+        number = np.repeat(np.arange(len(counts)), counts)
+        return cls(members, number, np.concatenate([[0], np.cumsum(counts)]))
 
-    def members_of(self, k: int) -> Indices:
-        """Segments of chain k."""
-        return self.members[self.first[k] : self.first[k + 1]]
+    def chosen(self, which: Mask) -> Chains:
+        """Return some of the chains, (C,) which."""
+        return Chains.of(self.members[which[self.number]], np.diff(self.first)[which])
+
+    @classmethod
+    def together(cls, parts: Sequence[Chains]) -> Chains:
+        """Return the chains of all parts."""
+        members, counts = zip(*((part.members, np.diff(part.first)) for part in parts), strict=True)
+        return cls.of(np.concatenate(members), np.concatenate(counts))
+
+    def joined(self, labels: Indices) -> Chains:
+        """Return the chains that come of joining those with the same label, (C,)."""
+        number = labels[self.number]
+        return Chains.of(self.members[np.argsort(number, kind="stable")], np.bincount(number))
 
     def sum(self, values: Floats) -> Floats:
         """(C,) sums over each chain of a value per segment (M,)."""
@@ -70,25 +74,23 @@ class Chains:
 class ChainFits:
     """Polylines fitted to C chains.
 
-    points: (P, 2), of chain k from first[k] to first[k + 1]. Per chain, (C,): extent_px, its length;
-    spread_px, of its segments about the polyline; mean_score of its segments; support, the number of
-    segments over each stretch.
+    Per chain, (C,): extent_px, its length; spread_px, of its segments about the polyline; mean_score of its
+    segments; support, the number of segments over each stretch.
     """
 
-    points: Floats
-    first: Indices
+    polylines: Polylines
     extent_px: Floats
     spread_px: Floats
     mean_score: Floats
     support: Floats
 
-    def polyline(self, k: int) -> Floats:
-        """(K, 2) points of chain k."""
-        return self.points[self.first[k] : self.first[k + 1]]
-
 
 def fit_chains(ends: Floats, scores: Floats, chains: Chains, step_px: float) -> ChainFits:
-    """Fit polylines to chains of segments (M, 4) with scores (M,), in the order of the chains."""
+    """Fit polylines to chains of segments (N, 4) with scores (N,)."""
+    ends, scores = ends[chains.members], scores[chains.members]
+    if not len(ends):
+        none = np.zeros(0)
+        return ChainFits(Polylines.joined(np.zeros((0, 2)), chains.number), none, none, none, none)
     origin, axis = _main_axes(ends, scores, chains)
     across = np.stack([-axis[:, 1], axis[:, 0]], axis=1)
     of = chains.number
@@ -115,7 +117,9 @@ def fit_chains(ends: Floats, scores: Floats, chains: Chains, step_px: float) -> 
     lengths = length(ends).astype(float)
     total_length = chains.sum(lengths)
     mean_score = chains.sum(scores * lengths) / np.maximum(total_length, 1e-9)
-    return ChainFits(points, first, extent, spread, mean_score, total_length / np.maximum(extent, 1e-9))
+    return ChainFits(
+        Polylines.joined(points, count), extent, spread, mean_score, total_length / np.maximum(extent, 1e-9)
+    )
 
 
 def _main_axes(ends: Floats, scores: Floats, chains: Chains) -> tuple[Floats, Floats]:

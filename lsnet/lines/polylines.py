@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from lsnet.arrays import Floats, Indices, RealArray
 
@@ -28,12 +28,27 @@ class Polylines:
     @classmethod
     def of(cls, polylines: Sequence[RealArray]) -> Polylines:
         """Join polylines (K, 2)."""
-        first = np.concatenate([[0], np.cumsum([len(polyline) for polyline in polylines])])
-        points = np.concatenate(polylines, dtype=np.float64)
-        steps = points[1:] - points[:-1]
+        counts = np.array([len(polyline) for polyline in polylines], np.intp)
+        return cls.joined(np.concatenate([np.zeros((0, 2)), *polylines]), counts)
+
+    @classmethod
+    def joined(cls, points: RealArray, counts: Indices) -> Polylines:
+        """Divide points (P, 2) into polylines of `counts` (C,) points."""
+        points_px: Floats = points.astype(np.float64)
+        first = np.concatenate([[0], np.cumsum(counts)])
+        steps = points_px[1:] - points_px[:-1]
         steps_px = np.hypot(steps[:, 0], steps[:, 1])
         steps_px[first[1:-1] - 1] = 1  # from the end of one to the next
-        return cls(points, first, np.concatenate([[0], np.cumsum(steps_px)]))
+        return cls(points_px, first, np.concatenate([[0], np.cumsum(steps_px)]))
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    def __getitem__(self, k: int) -> Floats:
+        return self.points[self.first[k] : self.first[k + 1]]
+
+    def __iter__(self) -> Iterator[Floats]:
+        return (self[k] for k in range(len(self)))
 
     @property
     def lengths_px(self) -> Floats:
@@ -43,9 +58,12 @@ class Polylines:
     def at(self, number: Indices, distance_px: Floats) -> Floats:
         """(..., 2) places on the polylines `number` at a distance from their start."""
         arc_px = self.arc_px[self.first[number]] + distance_px
-        return np.stack([np.interp(arc_px, self.arc_px, self.points[:, k]) for k in (0, 1)], axis=-1)
+        found = np.empty((*arc_px.shape, 2))
+        for k in (0, 1):
+            found[..., k] = np.interp(arc_px, self.arc_px, self.points[:, k])
+        return found
 
-    def spaced(self, count: int) -> Floats:
-        """(C, count, 2) evenly spaced places on each polyline, ends included."""
+    def spaced(self, count: int, number: Indices) -> Floats:
+        """(C, count, 2) evenly spaced places on the polylines `number` (C,), ends included."""
         shares = np.linspace(0, 1, count)
-        return self.at(np.arange(len(self.first) - 1)[:, None], self.lengths_px[:, None] * shares)
+        return self.at(number[:, None], self.lengths_px[number, None] * shares)

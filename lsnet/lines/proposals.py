@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lsnet.arrays import Floats
+    from lsnet.lines.polylines import Polylines
 
     Rate = Callable[["Proposals"], Floats]
 
@@ -18,7 +19,7 @@ class Proposals:
     """C polylines of one image with what their segments say about them.
 
     Attributes:
-        polylines: (K, 2) points x, y of each, pixels.
+        polylines: Their points, pixels.
         prior: (C,) score by the odds of the segments and the length alone.
         mean_score: (C,) mean score of the segments.
         support: (C,) segments over each stretch.
@@ -29,7 +30,7 @@ class Proposals:
         enlargement: Factor by which the image was enlarged before detection.
     """
 
-    polylines: list[Floats]
+    polylines: Polylines
     prior: Floats
     mean_score: Floats
     support: Floats

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 if TYPE_CHECKING:
-    from lsnet.arrays import Floats, Floats32, ImageArray, Mask, RealArray
+    from lsnet.arrays import Floats, Floats32, ImageArray, Indices, Mask, RealArray
     from lsnet.lines.polylines import Polylines
 
 OFFSETS_PX = np.array([*range(8), 9, 11, 14, 18, 24, 32, 40], np.float32)  # across the line, to one side
@@ -20,23 +20,20 @@ DIRECTION_PX = 24.0  # over which the direction of an end is measured
 SMOOTH = 5  # samples to both sides over which directions are averaged
 
 
-def cut_strips(image: ImageArray, lines: Polylines) -> tuple[Floats32, Floats]:
-    """Cut a strip along each of C lines.
+def cut_strips(image: ImageArray, lines: Polylines, number: Indices) -> tuple[Floats32, Floats32]:
+    """Cut a strip along C of the lines.
 
     Returns:
         (4, C, O, T) red, green, blue and grey, where T = 84 places: 10 before the line, 64 along it, 10
         behind it; and (2, C, T) x and y of the places, in pixels, which can be outside the image.
     """
     places, normals = (
-        values.reshape(-1, PLACES, SAMPLES, 2).transpose(3, 2, 0, 1) for values in _places(lines)
+        values.reshape(-1, PLACES, SAMPLES, 2).transpose(3, 2, 0, 1).astype(np.float32, order="C")
+        for values in _places(lines, number)
     )
-    shape = (SAMPLES, -1, len(ACROSS_PX) * PLACES)
-    x, y = (
-        (places[k, ..., None, :] - 0.5 + normals[k, ..., None, :] * ACROSS_PX[:, None])
-        .astype(np.float32)
-        .reshape(shape)
-        for k in (0, 1)
-    )
+    samples = normals[..., None, :] * ACROSS_PX[:, None]
+    samples += places[..., None, :] - np.float32(0.5)
+    x, y = samples.reshape(2, SAMPLES, len(number), -1)
     one, other = (
         cv2.remap(image, x[k], y[k], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         for k in range(SAMPLES)
@@ -48,18 +45,18 @@ def cut_strips(image: ImageArray, lines: Polylines) -> tuple[Floats32, Floats]:
     return strips.reshape(4, -1, len(ACROSS_PX), PLACES), places.mean(axis=1)
 
 
-def is_inside(places: Floats, image_size: tuple[int, int]) -> Mask:
+def is_inside(places: RealArray, image_size: tuple[int, int]) -> Mask:
     """Return which places (2, ...), x and y, are inside an image of (height, width)."""
     height, width = image_size
     x, y = places
     return np.asarray((x >= 0) & (x < width) & (y >= 0) & (y < height))
 
 
-def _places(lines: Polylines) -> tuple[Floats, Floats]:
-    """Return (C, 168, 2) sampled places of C lines, and the unit normals there."""
+def _places(lines: Polylines, number: Indices) -> tuple[Floats, Floats]:
+    """Return (C, 168, 2) sampled places of C of the lines, and the unit normals there."""
     inner, beyond = ALONG * SAMPLES, BEYOND * SAMPLES
-    points = lines.spaced(inner + 2)
-    back = (inner * DIRECTION_PX / np.maximum(lines.lengths_px, 1)).astype(np.intp)
+    points = lines.spaced(inner + 2, number)
+    back = (inner * DIRECTION_PX / np.maximum(lines.lengths_px[number], 1)).astype(np.intp)
     back = np.minimum(np.maximum(back, 2), inner // 3)
     line = np.arange(len(points))
     before = _units(points[:, 0] - points[line, back])[:, None]

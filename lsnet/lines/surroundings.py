@@ -46,7 +46,8 @@ def count_neighbours(lines: Polylines, image_size: tuple[int, int]) -> Floats32:
 
     first = np.concatenate([[0], np.cumsum(counts)])
     means = [np.add.reduceat(values, first[:-1]) / counts for values in (parallel_px, across_px)]
-    medians = [group_quantiles(values, first, [0.5])[:, 0] for values in (across_px, parallel_px)]
+    firsts = np.concatenate([first, first[-1] + first[1:]])
+    medians = group_quantiles(np.concatenate([across_px, parallel_px]), firsts, [0.5]).reshape(2, -1)
     return (np.stack([*means, *medians], axis=1) / (3 * CELL_PX)).astype(np.float32)
 
 

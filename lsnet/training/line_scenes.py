@@ -121,7 +121,9 @@ def examples_in(
     )
 
 
-def shares_on(polylines: Sequence[RealArray], lines: Sequence[RealArray], enlargement: float = 1.0) -> Floats:
+def shares_on(
+    polylines: Polylines | Sequence[RealArray], lines: Sequence[RealArray], enlargement: float = 1.0
+) -> Floats:
     """Return (C,) shares of the length of polylines that lie on one of the lines, in its direction."""
     if not lines:
         return np.zeros(len(polylines))
@@ -142,6 +144,6 @@ def shares_on(polylines: Sequence[RealArray], lines: Sequence[RealArray], enlarg
 def _sampled(line: RealArray, step_px: float) -> tuple[Floats, Floats]:
     """Return the middles of pieces of a line (K, 2), about `step_px` long, and their angles."""
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
-    points = Polylines.of([line]).spaced(max(2, round(length / step_px)) + 1)[0]
+    points = Polylines.of([line]).spaced(max(2, round(length / step_px)) + 1, np.array([0]))[0]
     steps = np.diff(points, axis=0)
     return (points[1:] + points[:-1]) / 2, np.arctan2(steps[:, 1], steps[:, 0])

@@ -5,8 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from lsnet.lines.bridging import _costs, _ends, _partners
+from lsnet.lines.components import components
 from lsnet.lines.polylines import Polylines
 from lsnet.lines.quantiles import group_quantiles, row_quantiles
 from lsnet.lines.strips import ACROSS_PX, BEYOND, cut_strips
@@ -38,7 +41,15 @@ def test_places_on_polylines() -> None:
     joined = Polylines.of(lines)
     np.testing.assert_allclose(joined.lengths_px, [length(line) for line in lines])
     expected = [along(line, np.linspace(0, length(line), 11)) for line in lines]
-    np.testing.assert_allclose(joined.spaced(11), expected, atol=1e-9)
+    np.testing.assert_allclose(joined.spaced(11, np.array([5, 2])), [expected[5], expected[2]], atol=1e-9)
+
+
+def test_components_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(0)
+    for n_pairs in (0, 20, 60, 300):
+        pairs = rng.integers(0, 100, (n_pairs, 2))
+        graph = coo_array((np.ones(n_pairs), (pairs[:, 0], pairs[:, 1])), shape=(100, 100))
+        np.testing.assert_array_equal(components(100, pairs), connected_components(graph, directed=False)[1])
 
 
 def test_quantiles() -> None:
@@ -54,7 +65,7 @@ def test_quantiles() -> None:
 def test_strips_show_the_image_along_the_normals() -> None:
     image = cv2.GaussianBlur(np.random.default_rng(0).uniform(0, 255, (*SIZE, 3)), (0, 0), 3).astype(np.uint8)
     line = np.array([[60.0, 80.0], [250.0, 160.0]])
-    strips, places = cut_strips(image, Polylines.of([line]))
+    strips, places = cut_strips(image, Polylines.of([line]), np.array([0]))
     normal = np.array([-80.0, 190.0]) / np.hypot(80, 190)
     at = places[:, 0].T[:, None] + ACROSS_PX[:, None] * normal  # (T, O, 2)
     for channel in range(3):

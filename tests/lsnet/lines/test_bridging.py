@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lsnet.lines.bridging import group_stretches
+from lsnet.lines.polylines import Polylines
 
 
 def straight(start: tuple[float, float], end: tuple[float, float], count: int = 12) -> np.ndarray:
@@ -15,7 +16,7 @@ def straight(start: tuple[float, float], end: tuple[float, float], count: int = 
 
 
 def groups(polylines: list[np.ndarray], max_gap_px: float = 60.0) -> list[list[int]]:
-    labels = group_stretches(polylines, max_gap_px)
+    labels = group_stretches(Polylines.of(polylines), max_gap_px)
     return sorted(np.flatnonzero(labels == label).tolist() for label in set(labels.tolist()))
 
 

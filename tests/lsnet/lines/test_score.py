@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from lsnet import Detector, LSNetError, load_weights
 from lsnet.lines.features import FEATURES, features_of
+from lsnet.lines.polylines import Polylines
 from lsnet.lines.proposals import Proposals
 from lsnet.lines.score import LineScore, read_line_score
 from lsnet.weights import save_weights
@@ -43,7 +44,15 @@ def proposals_of(polylines: tuple[list[list[float]], ...]) -> Proposals:
     extent = np.array([np.hypot(*np.diff(line, axis=0).T).sum() for line in lines])
     ones = np.ones(len(lines))
     return Proposals(
-        lines, 0.5 * ones, 0.6 * ones, 3 * ones, extent, 0.5 * ones, 0.6 * np.ones((len(lines), 3)), SIZE, 1.0
+        Polylines.of(lines),
+        0.5 * ones,
+        0.6 * ones,
+        3 * ones,
+        extent,
+        0.5 * ones,
+        0.6 * np.ones((len(lines), 3)),
+        SIZE,
+        1.0,
     )
 
 

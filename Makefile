@@ -79,9 +79,12 @@ reliability-short: $(INSTALLED)
 	$(BIN)/python -m pytest -q -n auto -m 'reliability and not slow'
 
 # RIVAL=M-LSD_512_tiny_fp32.tflite of github.com/navervision/mlsd
+# SETS="DIR..." of evaluation sets, to hold the precisions against each other
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_speed.py $(if $(RIVAL),--rival $(RIVAL))
+	PYTHONPATH=. $(BIN)/python benchmarks/bench_frame.py
 	PYTHONPATH=. $(BIN)/python benchmarks/bench_process.py
+	$(if $(SETS),$(BIN)/python benchmarks/bench_precision.py $(SETS))
 	$(BIN)/python benchmarks/bench_help.py
 	$(BIN)/python benchmarks/bench_encode.py
 	$(BIN)/python benchmarks/bench_append.py

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from inspect_pipeline.index.inspected import Inspected, load_store_rules
 from inspect_pipeline.index.publish import inspect_again
-from inspect_pipeline.index.reading import select
+from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.store.feedback import load_reviews
 
@@ -58,8 +58,7 @@ def check_flights(
     """
     if rules_path is None:
         rules = load_store_rules(store)
-        tables = (select(store, sql, [list(flight_ids)]) for sql in (_ANOMALIES, _COVERAGE, _JUDGEMENTS))
-        found = Inspected(*tables)
+        found = _read(store, flight_ids)
     else:
         rules = load_rules(rules_path)
         found = inspect_again(store, flight_ids, rules)
@@ -78,11 +77,15 @@ def rules_not_judged(store: Store, flight_ids: Sequence[str]) -> dict[str, list[
 
     Flights whose spans were judged have no entry. Raises StoreError.
     """
-    coverage, judgements = (select(store, sql, [list(flight_ids)]) for sql in (_COVERAGE, _JUDGEMENTS))
     by_flight: dict[str, list[str]] = {}
-    for one in _not_judged(Inspected([], coverage, judgements), load_store_rules(store)):
+    for one in _not_judged(_read(store, flight_ids), load_store_rules(store)):
         by_flight.setdefault(one.flight_id, []).append(f"{one.rule}: {one.detail}")
     return by_flight
+
+
+def _read(store: Store, flight_ids: Sequence[str]) -> Inspected:
+    with open_index(store) as index:
+        return Inspected(*(index.select(sql, [list(flight_ids)]) for sql in (_ANOMALIES, _COVERAGE, _JUDGEMENTS)))
 
 
 def _failed_anomalies(

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.store.store import Store
 
+TABLES = ("models", "runs", "flights", "channels", "frames", "segments", "lines")
+_DERIVED = ("coverage", "coverage_bins", "coverage_gaps", "conductor_counts", "anomalies", "inputs")
+_VIEWS = ("flight_summary", "bad_frames", "frame_dropouts", "detection_gaps", "span_last_seen")
 # What differs between two runs over the same recordings, by nature, or is about runs.
 _NOT_COMPARED = {
     "checksums": None,
@@ -23,6 +26,21 @@ _NOT_COMPARED = {
     "runs": None,
     "schema_version": None,
 }
+
+
+def ask(store: Store, sql: str) -> list[tuple[Any, ...]]:
+    """The answer of the index."""
+    with duckdb.connect(store.index_path, read_only=True) as connection:
+        return connection.execute(sql).fetchall()
+
+
+def answers(store: Store) -> dict[str, list[tuple[Any, ...]]]:
+    """Everything that is said of flights in the tables and views, in an order that does not depend on it."""
+    with duckdb.connect(store.index_path, read_only=True) as connection:
+        return {
+            name: sorted(connection.execute(f"FROM {name}").fetchall(), key=repr)
+            for name in (*TABLES, *_DERIVED, *_VIEWS)
+        }
 
 
 def contents(store: Store) -> dict[str, list[tuple[Any, ...]]]:

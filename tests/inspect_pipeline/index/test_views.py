@@ -1,0 +1,57 @@
+"""Views: faults and spans that nobody saw, as flights planted them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import flights
+from stores import ask
+
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.named_queries import find_query
+from inspect_pipeline.inspection.spans import Span, import_spans
+from inspect_pipeline.store.store import Store
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_views_find_planted_faults(tmp_path: Path) -> None:
+    """Frames 10 to 16 without segments around the bad frame 13; after frame 19, four frames are missing."""
+    store = Store(tmp_path)
+    flight_id = flights.flight_id_of("planted")
+    with store.write_flight(flight_id) as staging, flights.FlightWriter(staging.path, flight_id) as writer:
+        rows = flights.TrackedRows(writer)
+        for i in range(30):
+            step = i if i < 20 else i + 4
+            if i == 13:
+                rows.add_frame(flights.frame(i, "corrupt JPEG", step=step), None)
+            else:
+                rows.add_frame(flights.frame(i, step=step), flights.detections(0 if 10 <= i <= 16 else 2))
+        staging.commit(flights.record("planted", rows.finish()))
+    index.publish(store)
+    start = flights.START_NS
+    assert ask(store, "SELECT * EXCLUDE (flight_id, start_utc) FROM detection_gaps") == [
+        (1, 10, 16, 6, start + 10 * flights.PERIOD_NS, 0.6, None)
+    ]
+    assert ask(store, "SELECT * EXCLUDE (flight_id, start_utc) FROM frame_dropouts") == [
+        (1, 19, 20, start + 19 * flights.PERIOD_NS, 0.5, None, 4)
+    ]
+    assert ask(store, "SELECT topic, frame_idx, reason FROM bad_frames") == [
+        (flights.TOPIC, 13, "corrupt JPEG")
+    ]
+    assert ask(
+        store, "SELECT n_frames_with_segments, detection_share, duration_s, model_name FROM flight_summary"
+    ) == [(23, 23 / 29, 3.3, "fast")]
+
+
+def test_a_span_that_no_flight_has_seen(store: Store) -> None:
+    """Flights without positions see no span; the question is answered over all flights."""
+    ends = ("L12", "T1", "T2", 47.0, 8.0, None, 47.001, 8.0, None, 111.2, None)
+    import_spans(store, [Span("S1", *ends), Span("S2", *ends)])
+    index.publish(store)
+    assert ask(store, "SELECT span_id, line_id, length_m FROM unseen_spans ORDER BY 1") == [
+        ("S1", "L12", 111.2),
+        ("S2", "L12", 111.2),
+    ]
+    assert find_query("unseen").parameters == ()

@@ -1,4 +1,4 @@
--- Views for everyday questions. Not frozen: recreated at every publish.
+-- Views for everyday questions. Not frozen: recreated in indexes of other versions of the program.
 
 DROP VIEW IF EXISTS sensor_dropouts; -- frame_dropouts took its place
 

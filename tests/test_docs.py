@@ -6,14 +6,13 @@ import json
 import re
 import shlex
 import shutil
-import signal
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import pytest
+from command_line import runner
 from fakes import FakeDetector
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from inline_queries import answer_here
@@ -26,7 +25,7 @@ from inspect_pipeline.commands import model as model_commands
 from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
 ROOT = Path(__file__).parents[1]
 README, CLI, FORMATS = (
@@ -53,25 +52,20 @@ def small_flight(folder: Path, flat_ground: None) -> Path:
 @pytest.fixture
 def run(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], folder: Path
-) -> Iterator[Callable[..., str]]:
+) -> Callable[..., str]:
     """Run a command line of the documentation; all of them share a folder."""
     monkeypatch.chdir(folder)
     monkeypatch.delenv("LSNET_PIPE_STORE", raising=False)
     monkeypatch.setattr(lsnet, "Detector", FakeDetector)
     answer_here(monkeypatch)
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    run_any = runner(monkeypatch, capfd)
 
     def run(*arguments: str) -> str:
-        monkeypatch.setattr(sys, "argv", ["lsnet-pipe", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capfd.readouterr()
-        assert ended.value.code in (None, 0), captured.err
-        return captured.out
+        outcome = run_any(*arguments)
+        assert outcome.exit_code == 0, outcome.err
+        return outcome.out
 
-    yield run
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
+    return run
 
 
 def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path, flat_ground: None) -> None:

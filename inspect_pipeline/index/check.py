@@ -85,7 +85,9 @@ def rules_not_judged(store: Store, flight_ids: Sequence[str]) -> dict[str, list[
 
 def _read(store: Store, flight_ids: Sequence[str]) -> Inspected:
     with open_index(store) as index:
-        return Inspected(*(index.select(sql, [list(flight_ids)]) for sql in (_ANOMALIES, _COVERAGE, _JUDGEMENTS)))
+        return Inspected(
+            *(index.select(sql, [list(flight_ids)]) for sql in (_ANOMALIES, _COVERAGE, _JUDGEMENTS))
+        )
 
 
 def _failed_anomalies(

@@ -54,9 +54,9 @@ def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequen
     spans, rules = load_spans(store), load_store_rules(store)
     _insert_user_input(connection, store, spans, digests)
     stale = _all_flights(connection) if is_other else list(changed)
-    for table in DERIVED_TABLES:
-        connection.execute(f"DELETE FROM {table} WHERE flight_id NOT IN (SELECT flight_id FROM flights)")
-        connection.execute(f"DELETE FROM {table} WHERE flight_id IN (SELECT unnest(?))", [stale])
+    gone = "flight_id NOT IN (SELECT flight_id FROM flights) OR flight_id IN (SELECT unnest(?))"
+    for table in DERIVED_TABLES if known else ():  # a new index has no rows
+        connection.execute(f"DELETE FROM {table} WHERE {gone}", [stale])
     reviews = _reviewed(store)
     for flight_id in stale:
         cameras = load_cameras(connection, flight_id)

@@ -120,14 +120,16 @@ def is_current(connection: duckdb.DuckDBPyConnection, store: Store, flights: lis
 
     Raises DATABASE_ERRORS.
     """
-    latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
-    if connection.execute(latest).fetchone() != (len(MIGRATIONS), app_version()):
-        return False
-    if not _has_inputs_of(connection, store):
+    if not (_is_of_this_program(connection) and _has_inputs_of(connection, store)):
         return False
     rows = connection.execute("SELECT run_id::VARCHAR, finished_at FROM runs").fetchall()
     found = {run_id: time and time.replace(tzinfo=UTC).isoformat() for run_id, time in rows}
     return found == {row["run_id"]: row["finished_at"] for row in _run_rows(store, flights)}
+
+
+def _is_of_this_program(connection: duckdb.DuckDBPyConnection) -> bool:
+    latest = "SELECT version, app_version FROM schema_version ORDER BY version DESC LIMIT 1"
+    return connection.execute(latest).fetchone() == (len(MIGRATIONS), app_version())
 
 
 def _has_inputs_of(connection: duckdb.DuckDBPyConnection, store: Store) -> bool:
@@ -211,20 +213,7 @@ def _replace_index(
         if known is not None:
             shutil.copyfile(path, following)
         with duckdb.connect(following, config=CONFIG) as connection:
-            create_tables(connection)
-            replace_rows(connection, [*removed, *(flight.record.flight_id for flight in changed)], changed)
-            connection.begin()  # else each of these statements would wait for the disk
-            connection.execute("DELETE FROM runs")
-            insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
-            if changed or removed or not _has_inputs_of(connection, store):
-                from inspect_pipeline.index.derived import refresh  # noqa: PLC0415 - SciPy, half a second
-
-                refresh(connection, store, [flight.record.flight_id for flight in changed])
-            connection.execute(read_schema("views.sql"))
-            connection.execute("UPDATE schema_version SET app_version = ?", [app_version()])
-            insert_checksums(connection)
-            connection.commit()
-            connection.execute("CHECKPOINT")
+            _write(connection, store, flights, changed, removed, is_new=known is None)
         fsync_path(following)
         # A log left by another program would be replayed into the new file.
         path.with_name("index.duckdb.wal").unlink(missing_ok=True)
@@ -232,6 +221,35 @@ def _replace_index(
         fsync_path(path.parent)
     store.append_manifest("publish", n_flights=len(flights), n_written=len(changed), n_removed=len(removed))
     return IndexChange(len(flights), len(changed), len(removed), tuple(damaged))
+
+
+def _write(
+    connection: duckdb.DuckDBPyConnection,
+    store: Store,
+    flights: list[StoredFlight],
+    changed: list[StoredFlight],
+    removed: set[str],
+    *,
+    is_new: bool,
+) -> None:
+    """Bring an index up to date with `flights`, of which some have `changed`. Raises DATABASE_ERRORS."""
+    has_views = not is_new and _is_of_this_program(connection)
+    create_tables(connection)
+    stale = [] if is_new else [*removed, *(flight.record.flight_id for flight in changed)]
+    replace_rows(connection, stale, changed)
+    connection.begin()  # else each of these statements would wait for the disk
+    connection.execute("DELETE FROM runs")
+    insert_records(connection, "INSERT INTO runs", "runs", _run_rows(store, flights))
+    if changed or removed or not _has_inputs_of(connection, store):
+        from inspect_pipeline.index.derived import refresh  # noqa: PLC0415 - SciPy, half a second
+
+        refresh(connection, store, [flight.record.flight_id for flight in changed])
+    if not has_views:  # they take as long as the rows of a short flight
+        connection.execute(read_schema("views.sql"))
+        connection.execute("UPDATE schema_version SET app_version = ?", [app_version()])
+    insert_checksums(connection)
+    connection.commit()
+    connection.execute("CHECKPOINT")
 
 
 def _remove_database(path: Path) -> None:

@@ -52,7 +52,7 @@ def replace_rows(
 ) -> None:
     """Delete the rows of some flights and insert those of others, in one transaction."""
     connection.begin()
-    for table in ("flights", "channels", *ROW_TABLES):
+    for table in ("flights", "channels", *ROW_TABLES) if removed else ():
         connection.execute(f"DELETE FROM {table} WHERE flight_id IN (SELECT unnest(?))", [removed])
     for start in range(0, len(flights), _FLIGHTS_PER_INSERT):
         _insert_flights(connection, flights[start : start + _FLIGHTS_PER_INSERT])

@@ -30,8 +30,9 @@ from inspect_pipeline.store.store import Store
 if TYPE_CHECKING:
     from pathlib import Path
 
+pytestmark = pytest.mark.usefixtures("bare_flights")
 FAULTS = (FaultKind.MISSING_CONDUCTOR, FaultKind.DARK)
-TRUTH = simulate_truth(SimulationOptions(16, 4, seed=11, faults=FAULTS))
+TRUTH = simulate_truth(SimulationOptions(16, 2, seed=11, faults=FAULTS))
 
 
 @pytest.fixture(scope="module")
@@ -216,7 +217,7 @@ def test_flights_are_listed_shown_tagged_and_removed(store: Store) -> None:
     run("flights", "tag", FAULTY[:9], "line=L12", "pilot=kim")
     run("flights", "tag", FAULTY[:9], "pilot=")
     (shown,) = rows("flights", "show", FAULTY[:9])
-    assert (shown["flight_id"], shown["tags"], shown["n_frames"]) == (FAULTY, {"line": "L12"}, 64)
+    assert (shown["flight_id"], shown["tags"], shown["n_frames"]) == (FAULTY, {"line": "L12"}, 32)
     assert "line=L12" in run("flights", "list")
     assert select(store, "SELECT * FROM flight_tags") == [
         {"flight_id": FAULTY, "key": "line", "value": "L12"}

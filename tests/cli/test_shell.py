@@ -24,7 +24,7 @@ def shell(line: str, folder: Path, **environment: str) -> subprocess.CompletedPr
     """Run a line of bash, where `lsnet-pipe` is the program; the code is that of its first command."""
     line = line.replace("lsnet-pipe", PROGRAM)
     command = ["bash", "-c", f"{line}; exit ${{PIPESTATUS[0]}}"]
-    inherited = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "PYTHONWARNINGS": "ignore"}
+    inherited = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "PYTHONWARNINGS": "ignore"}
     return subprocess.run(
         command, cwd=folder, env=inherited | environment, capture_output=True, text=True, check=False
     )
@@ -95,7 +95,7 @@ def test_a_stop_while_the_detector_loads(tmp_path: Path) -> None:
     make_recording(tmp_path / "a.mcap", shots(2))
     program = "import cli, sys, time; sys.stderr.write('x'); sys.stderr.flush(); cli.main()"
     command = [sys.executable, "-c", program, "process", "a.mcap", "--store", "s", "--force"]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
     assert child.stderr
     assert child.stderr.read(1) == "x"

@@ -4,31 +4,24 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import time
 import tomllib
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import pytest
+from command_line import Outcome, runner
 from factories import make_recording, shots
 from prometheus_client.parser import text_string_to_metric_families
 from stubs import InlineExecutor, make_stub_in_cwd
 from terrain import write_dem
 
-import cli
 from inspect_pipeline.batch import worker
 from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-
-class Outcome(NamedTuple):
-    exit_code: int
-    out: str
-    err: str
 
 
 @pytest.fixture
@@ -40,22 +33,13 @@ def run(
     monkeypatch.setenv("LSNET_PIPE_STORE", str(tmp_path / "store"))
     monkeypatch.setattr("inspect_pipeline.batch.options.LocalExecutor", InlineExecutor)
     monkeypatch.setattr(worker, "LoadDetector", make_stub_in_cwd)
-    monkeypatch.setattr(signal, "signal", lambda number, handler: signal.SIG_DFL)
     (tmp_path / "inbox").mkdir()
     for i in range(2):
         make_recording(tmp_path / "inbox" / f"r{i}.mcap", shots(2 + i))
     (tmp_path / "inbox" / "odd\n\x1b[2J.mcap").write_bytes(b"no recording")
     for path in (tmp_path / "inbox").iterdir():
         os.utime(path, (0, 0))
-
-    def run(*arguments: object) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["lsnet-pipe", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capfd.readouterr()
-        return Outcome(int(ended.value.code or 0), captured.out, captured.err)
-
-    return run
+    return runner(monkeypatch, capfd)
 
 
 def test_a_night_as_people_see_it(run: Callable[..., Outcome], tmp_path: Path) -> None:

@@ -1,0 +1,36 @@
+"""The program in this process: what a command leaves."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+
+import cli
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Outcome(NamedTuple):
+    """What a command left: exit code, stdout and stderr."""
+
+    exit_code: int
+    out: str
+    err: str
+
+
+def runner(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    """What runs `lsnet-pipe ARGUMENTS`, without its signal handlers."""
+    monkeypatch.setattr(signal, "signal", lambda number, handler: signal.SIG_DFL)
+
+    def run(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["lsnet-pipe", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capfd.readouterr()
+        return Outcome(int(ended.value.code or 0), captured.out, captured.err)
+
+    return run

@@ -50,6 +50,8 @@ demo: $(INSTALLED)
 	@echo "report         $(LSNET_PIPE) report last --open $(DEMO_STORE)"
 	@echo "               a gap was planted in a conductor; decide about it by $(LSNET_PIPE) review last --open $(DEMO_STORE)"
 
+# Without what some environments set: both workers would compile all modules, and so would every command.
+test: export PYTHONDONTWRITEBYTECODE =
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -q -n auto --dist loadfile
 

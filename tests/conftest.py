@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy and torch: pytest-xdist has a worker a core
+if Path("/dev/shm").is_dir():  # noqa: S108 - in memory: thousands of files are made, synced and removed
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/dev/shm")  # noqa: S108
 
 import cv2
 import numpy as np

@@ -53,7 +53,8 @@ class Fork:
         return exit_code
 
     def kill(self) -> None:
-        os.kill(self.pid, signal.SIGKILL)
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
 
 
 def run(inbox: str, root: str, notes: str, weights: str, delay_s: str) -> int:

@@ -17,6 +17,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from driver import fork_worker
 from factories import Shot, make_recording
 from stubs import HANG, KILL, KILL_ONCE, LIGHT, RAISE, MakeStub
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
     Begin = Callable[..., Any]
 
+POPEN = subprocess.Popen
 pytestmark = pytest.mark.timeout(900)  # a cluster of Ray takes a minute to start on a busy machine
 
 
@@ -153,6 +155,8 @@ def site(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.syspath_prepend(LIGHT)  # which worker processes take over
     if request.param == "ray":
         request.getfixturevalue("cluster")
+    else:  # an interpreter takes longer to start than to do its work here
+        monkeypatch.setattr(executor_local.subprocess, "Popen", fork_worker)
     site = Site(tmp_path, RayExecutor if request.param == "ray" else LocalExecutor)
     yield site
     if request.param == "local":
@@ -193,7 +197,11 @@ def test_good_bad_and_poisonous_recordings(site: Site) -> None:
     assert ({flight.record.totals.n_frames for flight in flights}, halves) == ({1, 2}, [])
 
 
-def test_a_killed_worker_costs_one_attempt_of_one_recording(site: Site) -> None:
+def test_a_killed_worker_costs_one_attempt_of_one_recording(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With interpreters of their own, as users have them."""
+    monkeypatch.setattr(executor_local.subprocess, "Popen", POPEN)
     recordings = [site.recording("once", KILL_ONCE), site.recording("good", 1)]
     with site.start(n_workers=2, max_attempts=2) as executor:
         outcomes = results_of(executor.run(recordings, site.run))

@@ -13,6 +13,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 
 import duckdb
 import pytest
+from driver import fork_worker
 from factories import Shot, make_recording, shots
 from fakes import forbid
 from stubs import HANG, LIGHT, RAISE, InlineExecutor, MakeStub
@@ -72,8 +73,9 @@ class Night:
 
 @pytest.fixture
 def real_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bare_flights: None) -> Iterator[Night]:
-    """With worker processes, which take over sys.path."""
+    """With worker processes, which take over sys.path, and whose interpreters need not start."""
     monkeypatch.syspath_prepend(LIGHT)
+    monkeypatch.setattr("inspect_pipeline.batch.local.subprocess.Popen", fork_worker)
     night = Night(tmp_path)
     yield night
     staging = night.store.root / "staging"

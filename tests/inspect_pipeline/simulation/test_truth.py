@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.simulation.records import FaultTruth, FlightTruth, FrameTruth
 
 DOCS = Path(__file__).parents[3] / "docs"
-FLIGHT = SimulationOptions(seconds=40, fps=4, seed=2)
+FLIGHT = SimulationOptions(seconds=40, fps=2, seed=2)
 ALL_IN_SIGHT = {"L1", "L2", "L3", "N"}
 
 
@@ -52,7 +52,7 @@ def ids(frame: FrameTruth) -> set[str]:
 
 def test_a_clean_flight_shows_all_conductors_all_the_time() -> None:
     truth = fly()
-    assert len(truth.frames) == 160
+    assert len(truth.frames) == 80
     assert all(sorted(line.conductor_id for line in f.lines) == sorted(ALL_IN_SIGHT) for f in truth.frames)
     assert truth.faults == ()
     assert {span.expected_conductors for span in truth.spans} == {4}
@@ -150,7 +150,7 @@ def test_a_dropout_leaves_frames_out() -> None:
     fault, dropped = fault_of(truth), [f for f in truth.frames if f.dropped]
     assert len(dropped) >= 4
     assert all(fault.start_ns < f.log_time_ns < fault.end_ns for f in dropped)
-    assert [f.frame_idx for f in truth.frames if not f.dropped] == list(range(160 - len(dropped)))
+    assert [f.frame_idx for f in truth.frames if not f.dropped] == list(range(80 - len(dropped)))
     assert len(during(truth, fault)) == 2
 
 
@@ -171,7 +171,7 @@ def test_a_step_of_the_clock_and_a_slip_of_the_camera_last() -> None:
         0
     }
     assert abs(lags[-1]) > 5e8
-    assert fault.end_ns - fault.start_ns == 250_000_000
+    assert fault.end_ns - fault.start_ns == 500_000_000
     slipped, clean = fly(FaultKind.ORIENTATION_JUMP), fly()
     fault = fault_of(slipped)
     for frame, usual in zip(slipped.frames, clean.frames, strict=True):

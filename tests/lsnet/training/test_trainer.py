@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -24,9 +25,6 @@ from lsnet.training.sources import export_run
 from lsnet.training.tasks import LSNetTask, open_task
 from lsnet.training.trainer import Trainer
 from lsnet.weights import load_weights
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 QUICK = TrainConfig(
     preset="tiny",
@@ -64,6 +62,21 @@ class Strokes:
 def _tiny_preset(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(network_config.PRESETS, "tiny", TINY)
     monkeypatch.setitem(network_config.PRESETS, "thin", THIN)
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(network_config.PRESETS, "tiny", TINY)
+        Trainer(QUICK, folder).run(Strokes(), Strokes(), quiet)
+    return folder
+
+
+@pytest.fixture
+def finished(template: Path, tmp_path: Path) -> Path:
+    """The folder of a run that is done."""
+    return Path(shutil.copytree(template, tmp_path / "a"))
 
 
 @pytest.fixture(autouse=True)
@@ -163,27 +176,26 @@ def test_the_averaged_weights_are_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change", [{"learning_rate": 1.0}, {"steps": 13}, {"data": "others"}, {"preset": "fast"}]
 )
-def test_another_recipe_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
-    Trainer(QUICK, tmp_path).run(Strokes(), Strokes(), quiet)
+def test_another_recipe_is_refused(finished: Path, change: dict[str, object]) -> None:
     with pytest.raises(LSNetError, match=f"other {next(iter(change))}.*; give another run folder"):
-        Trainer(replace(QUICK, **change), tmp_path)
-    Trainer(replace(QUICK, threads=2), tmp_path)  # how it is computed may change
+        Trainer(replace(QUICK, **change), finished)
+    Trainer(replace(QUICK, threads=2), finished)  # how it is computed may change
 
 
-def test_run_continues_after_its_preset_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_continues_after_its_preset_changed(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It can be exported, and cannot be continued with another network by mistake."""
-    Trainer(QUICK, tmp_path / "run").run(Strokes(), Strokes(), quiet)
     monkeypatch.setitem(network_config.PRESETS, QUICK.preset, replace(TINY, head_channels=16))
-    export_run(tmp_path / "run", tmp_path / "x.safetensors", "mine", 0.4, None)
+    export_run(finished, tmp_path / "x.safetensors", "mine", 0.4, None)
     assert load_weights(tmp_path / "x.safetensors").card.network == TINY
     with pytest.raises(LSNetError, match="other network; give another run folder"):
-        Trainer(QUICK, tmp_path / "run")
+        Trainer(QUICK, finished)
 
 
-def test_run_can_start_from_the_weights_of_another(tmp_path: Path) -> None:
-    Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
-    started = Trainer(QUICK, tmp_path / "b", seed=5, start=tmp_path / "a/best.pt")
-    kept = torch.load(tmp_path / "a/best.pt")["average"]
+def test_run_can_start_from_the_weights_of_another(finished: Path, tmp_path: Path) -> None:
+    started = Trainer(QUICK, tmp_path / "b", seed=5, start=finished / "best.pt")
+    kept = torch.load(finished / "best.pt")["average"]
     assert all(torch.equal(t, kept[name]) for name, t in started.net.state_dict().items())
     assert all(torch.equal(t, kept[name]) for name, t in started.average.state_dict().items())
     assert started.step == 0
@@ -197,10 +209,9 @@ def test_run_can_start_from_shipped_weights(tmp_path: Path) -> None:
         Trainer(QUICK, tmp_path / "b", start="slow")
 
 
-def test_a_resumed_run_has_the_start_it_began_with(tmp_path: Path) -> None:
-    Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
-    Trainer(QUICK, tmp_path / "other", seed=3).run(Strokes(), Strokes(), quiet)
-    start = tmp_path / "a/best.pt"
+def test_a_resumed_run_has_the_start_it_began_with(finished: Path, tmp_path: Path) -> None:
+    Trainer(replace(QUICK, steps=1), tmp_path / "other", seed=3).run(Strokes(), Strokes(), quiet)
+    start = finished / "best.pt"
     Trainer(QUICK, tmp_path / "b", start=start).run(Strokes(), Strokes(), quiet)
     assert Trainer(QUICK, tmp_path / "b", start=start).step == 12
     for other in (tmp_path / "other/best.pt", None):
@@ -210,17 +221,16 @@ def test_a_resumed_run_has_the_start_it_began_with(tmp_path: Path) -> None:
         Trainer(QUICK, tmp_path / "b", start=tmp_path / "none.pt")
 
 
-def test_a_run_of_an_older_version_continues_with_what_are_the_defaults(tmp_path: Path) -> None:
-    Trainer(QUICK, tmp_path).run(Strokes(), Strokes(), quiet)
-    last = torch.load(tmp_path / "last.pt")
+def test_a_run_of_an_older_version_continues_with_what_are_the_defaults(finished: Path) -> None:
+    last = torch.load(finished / "last.pt")
     for name in ("loss", "off_centre_penalty", "start_sha256", "schedule", "clip_norm", "device"):
         del last["recipe"][name]
     del last["recipe"]["network"]["centred"]
-    torch.save(last, tmp_path / "last.pt")
-    assert Trainer(QUICK, tmp_path).step == 12
+    torch.save(last, finished / "last.pt")
+    assert Trainer(QUICK, finished).step == 12
     for task in (open_task("tiny", ["centred=true"]), open_task("tiny", (), ["gamma=1"])):
         with pytest.raises(LSNetError, match=r"holds a run with other (network|loss)"):
-            Trainer(QUICK, tmp_path, task=task)
+            Trainer(QUICK, finished, task=task)
 
 
 def test_the_loss_is_kept_with_every_checkpoint(tmp_path: Path) -> None:
@@ -262,18 +272,17 @@ def test_the_recipe_of_the_paper_neither_averages_nor_decays(tmp_path: Path) -> 
         assert torch.equal(tensor, trainer.average.state_dict()[name])
 
 
-def test_unusable_checkpoints_are_one_line(tmp_path: Path) -> None:
-    Trainer(QUICK, tmp_path / "a").run(Strokes(), Strokes(), quiet)
-    (tmp_path / "damaged.pt").write_bytes((tmp_path / "a/best.pt").read_bytes()[:500])
+def test_unusable_checkpoints_are_one_line(finished: Path, tmp_path: Path) -> None:
+    (tmp_path / "damaged.pt").write_bytes((finished / "best.pt").read_bytes()[:500])
     (tmp_path / "file").touch()
     for start in ("missing.pt", "damaged.pt"):
         with pytest.raises(LSNetError, match=start):
             Trainer(QUICK, tmp_path / "b", start=tmp_path / start)
     with pytest.raises(LSNetError, match=r"best\.pt: not weights of this network or a wider one"):
-        Trainer(replace(QUICK, preset="fast"), tmp_path / "b", start=tmp_path / "a/best.pt")
-    (tmp_path / "a/last.pt").write_bytes(b"PK")
+        Trainer(replace(QUICK, preset="fast"), tmp_path / "b", start=finished / "best.pt")
+    (finished / "last.pt").write_bytes(b"PK")
     with pytest.raises(LSNetError, match=r"last\.pt: missing or damaged"):
-        Trainer(QUICK, tmp_path / "a")
+        Trainer(QUICK, finished)
     with pytest.raises(LSNetError, match="cannot be created as a folder"):
         Trainer(QUICK, tmp_path / "file")
 

@@ -118,8 +118,9 @@ class GridCoder:
         grid is reported by both; nothing is merged here.
         """
         keep = scores >= min_score
-        inside = np.clip(endpoints[keep], 0.0, 1.0) * self.cell_px
-        absolute = inside + np.tile(self.corners(image_size)[keep], 2)
+        rows, columns = np.nonzero(keep)
+        corners = np.stack([columns, rows, columns, rows], axis=1) * np.float32(self.stride_px)
+        absolute = np.clip(endpoints[keep], 0.0, 1.0) * self.cell_px + corners
         return Segments(absolute.astype(np.float32), scores[keep].astype(np.float32), image_size)
 
 

@@ -33,6 +33,7 @@ SIDES = tuple(  # of one side, then of the other, by distance: which of the offs
 )
 GREY = 3  # the channel after red, green and blue
 CELL_STEP_PX = 16
+CHUNK = 32  # lines that are looked at together, so that their pixels stay in the cache
 
 
 def features_of(
@@ -47,19 +48,22 @@ def features_of(
         chosen: Which of them; all by default.
     """
     chosen = np.arange(len(proposals)) if chosen is None else chosen
+    cuts = np.arange(CHUNK, len(chosen), CHUNK)
+    looks = [_look(image, cell_scores, proposals, each) for each in np.split(chosen, cuts)]
+    return np.concatenate([np.concatenate(looks), _shapes(proposals)[chosen]], axis=1, dtype=np.float32)
+
+
+def _look(image: ImageArray, cell_scores: Floats32, proposals: Proposals, chosen: Indices) -> Floats32:
+    """(C, F) features of what lies on and around chosen proposals."""
     strips, places = cut_strips(image, proposals.polylines, chosen)
-    inside = is_inside(places, proposals.image_size)
-    cells = _scores_along(cell_scores, places)
     tone = strips[:, :, ON_LINE].mean(axis=2)
     ground = np.stack([strips[:, :, side].mean(axis=2) for side in SIDES])
-    ground = ground.reshape(2, len(SIDES_PX), *tone.shape)
     grey = strips[GREY, ..., LINE]
     parts = [
         *_profiles(grey, _mean(strips[:GREY, ..., LINE])),
-        *_ridges(tone, ground),
-        *_ends(inside, cells),
+        *_ridges(tone, ground.reshape(2, len(SIDES_PX), *tone.shape)),
+        *_ends(is_inside(places, proposals.image_size), _scores_along(cell_scores, places)),
         *_textures(grey),
-        _shapes(proposals)[chosen],
     ]
     return np.concatenate(parts, axis=1, dtype=np.float32)
 

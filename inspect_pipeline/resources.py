@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 
-# Of the index, in order. A released file never changes.
+# Of the index, in order. The statements of a released file never change.
 MIGRATIONS = (
     "0001_initial.sql",
     "0002_runs.sql",

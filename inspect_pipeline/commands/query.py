@@ -51,7 +51,7 @@ def query(
     store: StoreOption = None,
     output_format: Annotated[
         OutputFormat | None,
-        typer.Option("--format", help="Format of the rows. Default: by the suffix of -o, else table."),
+        typer.Option("--format", help="Format of the rows. Default: from the suffix of -o, else table."),
     ] = None,
     output: Annotated[
         Path | None,

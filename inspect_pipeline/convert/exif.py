@@ -190,7 +190,7 @@ def _number(text: str | None) -> float | None:
 def _focal_px(
     camera: Mapping[int, Any], dji: Mapping[str, str], model: str, image_size: tuple[int, int]
 ) -> float | None:
-    """Return the calibrated focal length, else that for 35 mm film, else by the size of the sensor."""
+    """Return the calibrated focal length, else that for 35 mm film, else that from the size of the sensor."""
     if calibrated_px := _calibrated_px(dji, image_size):
         return calibrated_px
     if focal_35mm := _positive(camera.get(ExifTags.Base.FocalLengthIn35mmFilm)):
@@ -202,7 +202,7 @@ def _focal_px(
 
 
 def _focal_plane_px(camera: Mapping[int, Any], focal_mm: float, width_px: int) -> float | None:
-    """Return the focal length by the pixels per length of the sensor, in an image that may be smaller."""
+    """Return the focal length from the pixels per length of the sensor, in an image that may be smaller."""
     per_unit = _positive(camera.get(ExifTags.Base.FocalPlaneXResolution))
     unit_mm = _UNITS_MM.get(camera.get(ExifTags.Base.FocalPlaneResolutionUnit, 0))
     taken_px = _positive(camera.get(ExifTags.Base.ExifImageWidth))

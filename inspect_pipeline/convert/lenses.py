@@ -22,7 +22,7 @@ def focal_px_of_film(focal_35mm: float, image_size: tuple[int, int]) -> float:
 
 
 def focal_px_of_sensor(focal_mm: float, model: str, image_size: tuple[int, int]) -> float | None:
-    """Return the same by the focal length itself, None where the sensor of the camera is not known."""
+    """Return the same from the focal length itself, None where the sensor of the camera is not known."""
     width_mm = _sensor_widths_mm().get(model)
     return focal_mm * max(image_size) / width_mm if width_mm else None
 

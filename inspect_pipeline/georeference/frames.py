@@ -61,7 +61,7 @@ class Georeferencer:
         return cls(poses, lenses.lenses(), options, terrain)
 
     def place(self, frame: Frame) -> FramePose:
-        """Georeference a frame by the last pose known at its log time."""
+        """Georeference a frame from the last pose known at its log time."""
         pose, lens = self.poses.at(frame.log_time_ns), self._lens(frame)
         focal_px = lens.focal_px[0] if lens else None
         if pose is None:

@@ -1,4 +1,4 @@
-"""Pictures to a video file (H.264 in MP4), by the extra `video`."""
+"""Write pictures to a video file (H.264 in MP4); needs the extra `video`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find missing pictures of H.264 streams by the headers of their packets.
+"""Find missing pictures of H.264 streams from the headers of their packets.
 
 FFmpeg decodes a picture whose reference is missing without an error, and returns it smeared. The numbers of
 reference pictures (frame_num, ITU-T H.264 7.4.3) show the gap.

@@ -1,4 +1,4 @@
-"""Compute the pose of the simulated drone and its camera at any time, by the kind of flight."""
+"""Compute the pose of the simulated drone and its camera at any time, for each kind of flight."""
 
 from __future__ import annotations
 

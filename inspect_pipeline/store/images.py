@@ -68,5 +68,5 @@ def _time_ranges(frames: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def source_path(source_uri: str) -> Path:
-    """Return the path of a recording by the URI that the index has of it."""
+    """Return the path of a recording from its URI in the index."""
     return Path(os.fsdecode(unquote_to_bytes(urlsplit(source_uri).path)))

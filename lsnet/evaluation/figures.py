@@ -67,7 +67,7 @@ def detection_panels(
 def pixels_of_segments(
     detector: LineDetector, min_score: float, width_px: int = 2
 ) -> Callable[[ImageArray], Mask]:
-    """Return a function to the pixels of a line detector by the paper's comparison: Gaussian, Otsu."""
+    """Return a function to the pixels of a line detector as the paper compares them: Gaussian, Otsu."""
 
     def find(image: ImageArray) -> Mask:
         segments = detector.detect([image])[0].segments.above(min_score)

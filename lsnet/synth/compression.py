@@ -47,7 +47,7 @@ def quantised(plane: FloatImage, step: float) -> FloatImage:
 
 
 def _cosines() -> FloatImage:
-    """(8, 8) orthonormal cosine transform, one frequency per row."""
+    """Return the (8, 8) orthonormal cosine transform, one frequency per row."""
     k, i = np.arange(BLOCK_PX)[:, None], np.arange(BLOCK_PX)
     basis = np.cos(np.pi * k * (2 * i + 1) / (2 * BLOCK_PX)) * np.sqrt(2 / BLOCK_PX)
     basis[0] /= np.sqrt(2)

@@ -1,4 +1,4 @@
-"""`lsnet-pipe process`: what is printed where, and what of it is in the index."""
+"""`lsnet-pipe process`: what is printed, and what the index holds afterwards."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def compare_networks(trainings: Trainings, variants: Sequence[SizedVariant]) -> 
 
 @cache
 def cpu_ms_of(network: LSNetConfig) -> dict[str, float]:
-    """Measure the CPU time of a 512 x 512 image on one thread, ms, by the installed runtimes."""
+    """Measure the CPU time of a 512 x 512 image on one thread, ms, with the installed runtimes."""
     torch.manual_seed(0)
     net = LSNet(network).eval()
     backends: dict[str, Backend] = {"torch": TorchBackend(net)}

@@ -120,7 +120,7 @@ def _painted(road: RealArray, v: RealArray, rng: Rng) -> RealArray:
 
 
 def _bands(rng: Rng) -> tuple[Floats, Floats32]:
-    """Widths in pixels of gutter, kerb faces and shadows, and the tones, beginning with the paving."""
+    """Return widths in pixels of gutter, kerb faces and shadows, and the tones, beginning with the paving."""
     base, count = rng.uniform(30, 215), int(rng.integers(1, 6))
     widths = np.where(rng.random(count) < 0.55, rng.uniform(1, 5, count), rng.uniform(4, 18, count))
     contrast = rng.uniform(0.08, 0.6)

@@ -31,7 +31,7 @@ def render_many(
     workers: int,
     on_image: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write the first `count` pictures of a seed, `size` px wide and high, by `workers` processes.
+    """Write the first `count` pictures of a seed, `size` px wide and high, in `workers` processes.
 
     Raises:
         LSNetError: Mitsuba is not installed, the folder cannot be written or holds pictures of another size

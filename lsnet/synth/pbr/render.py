@@ -78,7 +78,7 @@ def lay_out(rng: Rng, size: int) -> SceneLayout:
 
 
 def _structure(rng: Rng, seen_m: float) -> list[Rod]:
-    """A pole or a lattice tower in one of four scenes."""
+    """Return a pole or a lattice tower in one of four scenes."""
     if rng.random() > 0.25:
         return []
     foot = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3), -1]) * seen_m
@@ -89,7 +89,7 @@ def _structure(rng: Rng, seen_m: float) -> list[Rod]:
 
 
 def _family(rng: Rng, seen_m: float, radius_m: float, width_px: float) -> tuple[list[Cable], list[Rod]]:
-    """Cables side by side through the view, single ones or bundles of 2 to 4 with spacers."""
+    """Return cables side by side through the view, single ones or bundles of 2 to 4 with spacers."""
     cables: list[Cable] = []
     rods: list[Rod] = []
     curvature, slope = abs(rng.normal(0, 0.06)) / seen_m, rng.normal(0, 0.08)
@@ -121,7 +121,7 @@ _BUNDLES: dict[int, list[tuple[float, float, float]]] = {
 
 
 def _material(rng: Rng, width_px: float) -> tuple[dict[str, Any], bool]:
-    """Aluminium from bright to weathered, insulation, or rust; and whether strands are visible."""
+    """Return aluminium from bright to weathered, insulation, or rust; and whether strands are visible."""
     kind, is_wide = (
         rng.choice(["aluminium", "insulated", "rusty"], p=[0.6, 0.27, 0.13]),
         width_px > MIN_STRANDED_PX,
@@ -186,7 +186,7 @@ def render(layout: SceneLayout, light: Path | None, rng: Rng, samples: int = SAM
 
 
 def _shapes(mi: Any, rod: Rod) -> list[dict[str, Any]]:
-    """A cylinder, with closed ends if it is wider than long."""
+    """Return a cylinder, with closed ends if it is wider than long."""
     start, end, radius_m = rod
     shapes: list[dict[str, Any]] = [{"type": "cylinder", "p0": start, "p1": end, "radius": radius_m}]
     axis = np.subtract(end, start)
@@ -200,7 +200,7 @@ def _shapes(mi: Any, rod: Rod) -> list[dict[str, Any]]:
 
 
 def _curves(cable: Cable, half_length_m: float) -> str:
-    """Control points with radius in Mitsuba's format: one per line, an empty line between curves."""
+    """Return control points with radius in Mitsuba's format: one per line, an empty line between curves."""
     if cable.is_stranded:
         curves, radius_m = strands(cable.hang, cable.radius_m, half_length_m)
     else:

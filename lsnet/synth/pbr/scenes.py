@@ -85,7 +85,7 @@ def cropped(pictures: Sequence[Path], index: int, size: int, seed: int) -> Label
 
 
 def _load(truth: Path) -> Labelled:
-    """(H, W, 4) premultiplied colours, so that interpolation blends correctly; and the lines."""
+    """Return (H, W, 4) premultiplied colours, so that interpolation blends correctly; and the lines."""
     try:
         lines = [np.array(line, float) for line in json.loads(truth.read_text())["lines"]]
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as err:

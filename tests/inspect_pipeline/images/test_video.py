@@ -195,7 +195,7 @@ def test_a_length_that_looks_like_a_start_code() -> None:
 
 
 def test_an_av1_packet_of_erased_memory_is_looked_at_quickly() -> None:
-    """Every byte says that the size goes on; eight may."""
+    """Every byte says that the size continues; eight may."""
     before_s = time.process_time()
     assert key_of(b"\x12\x00" + b"\xff" * 100_000, "av1") == "none"
     assert time.process_time() - before_s < 1.0

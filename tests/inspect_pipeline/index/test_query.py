@@ -96,25 +96,23 @@ VALUES = {
 }
 
 
-def test_values_in_json(ask_child: Any) -> None:
-    text = ask_child("SELECT " + ", ".join(f"{sql} AS c{i}" for i, sql in enumerate(VALUES)))
+def test_values_in_json(ask: Any) -> None:
+    text = ask("SELECT " + ", ".join(f"{sql} AS c{i}" for i, sql in enumerate(VALUES)))
     (row,) = json.loads(text, parse_constant=pytest.fail)
     assert list(row.values()) == list(VALUES.values())
 
 
-def test_csv(ask_child: Any) -> None:
-    text = ask_child("SELECT 'a,\"b\"\nc' AS x, NULL AS y, 1.5 AS z, points FROM lines LIMIT 1", "csv")
+def test_csv(ask: Any) -> None:
+    text = ask("SELECT 'a,\"b\"\nc' AS x, NULL AS y, 1.5 AS z, points FROM lines LIMIT 1", "csv")
     rows = list(csv.reader(io.StringIO(text)))
     assert rows[0] == ["x", "y", "z", "points"]
     assert rows[1][:3] == ['a,"b"\nc', "", "1.5"]
-    assert ask_child("SELECT 1 AS x, 2 AS y WHERE false", "csv") == "x,y\n"
-    assert ask_child("EXPLAIN SELECT 1", "csv").startswith("explain_key,explain_value\nphysical_plan,")
+    assert ask("SELECT 1 AS x, 2 AS y WHERE false", "csv") == "x,y\n"
+    assert ask("EXPLAIN SELECT 1", "csv").startswith("explain_key,explain_value\nphysical_plan,")
 
 
-def test_table(ask_child: Any) -> None:
-    text = ask_child(
-        "SELECT 'a\x1b[31m\nb' AS name, NULL AS x, 12 AS number UNION ALL SELECT 'c', 3, 4", "table"
-    )
+def test_table(ask: Any) -> None:
+    text = ask("SELECT 'a\x1b[31m\nb' AS name, NULL AS x, 12 AS number UNION ALL SELECT 'c', 3, 4", "table")
     assert text.splitlines() == [
         "name          x  number",
         "---------  ----  ------",

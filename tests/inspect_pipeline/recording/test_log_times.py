@@ -107,7 +107,7 @@ def test_ambiguous_stamps_give_a_warning() -> None:
 
 
 def test_frames_out_of_order_by_wrong_times_of_chunks_are_counted(tmp_path: Path) -> None:
-    """A reader that goes by the chunks' own times meets their messages too late."""
+    """A reader that relies on the times of chunks meets their messages too late."""
     to_write = [Shot(i, CAMERA, time_ns) for i, time_ns in enumerate(REGULAR)]
     path = make_recording(tmp_path / "a.mcap", to_write, index_types=factories.UNINDEXED)
     extents = open_recording(path).parts[0].layout.extents

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -26,13 +27,21 @@ def test_the_shipped_network_is_of_the_shipped_weights() -> None:
         assert all(read_network(read_weights(name), precision) for precision in ("bf16", "int8")), name
 
 
-@pytest.fixture
-def converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     openvino_or_skip()
-    monkeypatch.setattr(networks, "PRECISIONS", ("f32",))  # quantizing takes half a minute
-    path = save_tiny(tmp_path / "w.safetensors")
-    write_networks(read_weights(path))
+    path = save_tiny(tmp_path_factory.mktemp("converted") / "w.safetensors")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(networks, "PRECISIONS", ("f32",))  # quantizing takes half a minute
+        write_networks(read_weights(path))
     return path
+
+
+@pytest.fixture
+def converted(template: Path, tmp_path: Path) -> Path:
+    """Weights with their converted network beside them."""
+    shutil.copytree(template.parent, tmp_path, dirs_exist_ok=True)
+    return tmp_path / template.name
 
 
 def test_the_kept_network_gives_the_same_results(converted: Path) -> None:

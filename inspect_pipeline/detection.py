@@ -115,7 +115,7 @@ def _detect(batch: list[ProcessedFrame], detector: Detector, times: StageTimes) 
 
 
 class _Room:
-    """Return how many frames may wait, given the size of the largest so far; one until the first is decoded."""
+    """How many frames may wait, given the size of the largest so far; one until the first is decoded."""
 
     def __init__(self) -> None:
         self._n_bytes = 0

@@ -134,7 +134,7 @@ def _raw_mode(tile: Any) -> str:
 
 
 def _decode_deep_colour(data: memoryview) -> Pixels:
-    """Decode colours of 16 bits in two passes: Pillow gives one byte of each, which one by the order of bytes."""
+    """Decode colours of 16 bits in two passes: Pillow gives one byte of each, the upper or the lower."""
     upper, lower = (_load_bytes(data, is_lower=is_lower) for is_lower in (False, True))
     values = (upper.astype(np.uint16) << 8) | lower
     return Pixels(values.astype(np.uint16, copy=False))

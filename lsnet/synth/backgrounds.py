@@ -163,7 +163,7 @@ def vegetation(rng: Rng, size: int) -> FloatImage:
 
 
 def _turned_noise(rng: Rng, size: int, pitch_px: float, stretch: float) -> FloatImage:
-    """Return (size, size) noise, smooth over `pitch_px` in one direction and `stretch` times as far in the other."""
+    """Return (size, size) noise, smooth over `pitch_px` one way and `stretch` times as far the other way."""
     side = 1.5 * size
     rows, columns = int(side / pitch_px) + 2, int(side / pitch_px / stretch) + 2
     noise = rng.standard_normal((rows, columns), dtype=np.float32)

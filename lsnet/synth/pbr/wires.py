@@ -1,4 +1,4 @@
-"""Render the wires of a known scene with Mitsuba 3 (extra `synth`), with alpha, to lay them over a picture."""
+"""Render the wires of a known scene with Mitsuba 3 (extra `synth`), with alpha to lay them over a picture."""
 
 from __future__ import annotations
 

@@ -9,9 +9,7 @@ import json
 import math
 import subprocess
 import sys
-import time
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import duckdb
 import flights
@@ -23,8 +21,7 @@ from typer.testing import CliRunner
 from inspect_pipeline.commands import index as index_command
 from inspect_pipeline.commands.query import query
 from inspect_pipeline.errors import QueryError, StoreError, StoreVersionError
-from inspect_pipeline.index import publish as index
-from inspect_pipeline.index import query_child, query_output
+from inspect_pipeline.index import query_output
 from inspect_pipeline.index.query import QueryLimits, run_query
 from inspect_pipeline.index.query import query as query_rows
 from inspect_pipeline.index.reading import select
@@ -32,37 +29,8 @@ from inspect_pipeline.index.verify import verify
 from inspect_pipeline.resources import MIGRATIONS
 from inspect_pipeline.store.store import Store
 
-app = typer.Typer()
-app.command()(query)
-app.add_typer(index_command.app, name="index")
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    store = Store(tmp_path_factory.mktemp("store"))
-    flights.write_flight(store, "a", 4)
-    index.publish(store)
-    return store
-
-
-@pytest.fixture
-def ask(ask_child: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The same as `ask_child` in this process."""
-    answer_here(monkeypatch)
-    return ask_child
-
-
-@pytest.fixture
-def ask_child(store: Store, tmp_path: Path) -> Any:
-    """Runs a statement and returns what was written."""
-
-    def run(sql: str, form: str = "json", **options: Any) -> str:
-        output = tmp_path / "rows"
-        run_query(store.index_path, sql, format=form, output=output, **options)
-        assert [path.name for path in tmp_path.iterdir()] == ["rows"]
-        return output.read_text()
-
-    return run
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_json_is_an_array_of_objects(ask: Any) -> None:
@@ -124,10 +92,10 @@ def test_table(ask: Any) -> None:
 
 
 def test_a_long_table_is_cut_on_the_screen_only(
-    store: Store, ask: Any, capsysbinary: pytest.CaptureFixture[bytes]
+    queried: Store, ask: Any, capsysbinary: pytest.CaptureFixture[bytes]
 ) -> None:
     sql = "SELECT range, repeat('x', 200) AS long FROM range(5000)"
-    run_query(store.index_path, sql, limits=QueryLimits(max_rows=10))
+    run_query(queried.index_path, sql, limits=QueryLimits(max_rows=10))
     text = capsysbinary.readouterr().out.decode()
     assert text.count("\n") == 13
     assert "…" in text
@@ -137,19 +105,19 @@ def test_a_long_table_is_cut_on_the_screen_only(
     assert text.endswith("(5000 rows)\n")
 
 
-def test_a_closed_stdout(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_closed_stdout(queried: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", None)
     with pytest.raises(QueryError, match="stdout is closed"):
-        run_query(store.index_path, "SELECT 1")
+        run_query(queried.index_path, "SELECT 1")
 
 
-def test_rows_for_python(store: Store) -> None:
+def test_rows_for_python(queried: Store) -> None:
     """The store by its folder; the values as Python, Arrow and pandas have them."""
     sql = """
         SELECT 7 AS n, NULL AS nothing, 'é' AS text, [1.5, NULL] AS list, {'x': 1} AS struct,
                TIMESTAMP '2026-05-04 09:30:00' AS time, DATE '2026-05-04' AS day, 'NaN'::DOUBLE AS nan
     """
-    result = query_rows(str(store.root), sql)
+    result = query_rows(str(queried.root), sql)
     assert result.columns == ["n", "nothing", "text", "list", "struct", "time", "day", "nan"]
     assert len(result) == 1
     (row,) = result.fetchall()
@@ -158,48 +126,32 @@ def test_rows_for_python(store: Store) -> None:
     assert math.isnan(row[-1])
     assert result.arrow().column("n").to_pylist() == [7]
     assert result.df().shape == (1, 8)
-    assert query_rows(store, "SELECT 1 AS x WHERE false").fetchall() == []
-    assert len(query_rows(store.root, "FROM range(300000)")) == 300_000
-    assert "physical_plan" in query_rows(store, "EXPLAIN SELECT 1").fetchall()[0]
+    assert query_rows(queried, "SELECT 1 AS x WHERE false").fetchall() == []
+    assert len(query_rows(queried.root, "FROM range(300000)")) == 300_000
+    assert "physical_plan" in query_rows(queried, "EXPLAIN SELECT 1").fetchall()[0]
 
 
-@pytest.mark.parametrize(
-    ("sql", "words"),
-    [
-        ("DROP TABLE flights", "one SELECT"),
-        ("SELECT 1; SELECT 2", "one SELECT"),
-        ("FROM read_text('/etc/passwd')", "disabled"),
-        ("SELEC 1", "syntax error"),
-        ("SELECT count(*) FROM range(100000000000) a", r"stopped after 0\.3 s"),
-        ("SELECT repeat('x', 2000000000)", "memory"),
-    ],
-)
-def test_rows_for_python_are_as_safe_as_the_command(store: Store, sql: str, words: str) -> None:
-    with pytest.raises(QueryError, match=words):
-        query_rows(store, sql, limits=QueryLimits(timeout_s=0.3 if "100000000000" in sql else 20))
-
-
-def test_a_data_frame_without_pandas(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    result = query_rows(store, "SELECT 1")
+def test_a_data_frame_without_pandas(queried: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = query_rows(queried, "SELECT 1")
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(QueryError, match="pip install pandas"):
         result.df()
 
 
-def test_an_index_that_another_program_writes_to(store: Store) -> None:
+def test_an_index_that_another_program_writes_to(queried: Store) -> None:
     """The remedy is to close it there, not to make the index anew."""
     code = "import duckdb, sys; c = duckdb.connect(sys.argv[1]); print(flush=True); sys.stdin.read()"
     pipe = subprocess.PIPE
-    command = [sys.executable, "-c", code, str(store.index_path)]
+    command = [sys.executable, "-c", code, str(queried.index_path)]
     with subprocess.Popen(command, stdin=pipe, stdout=pipe) as holder:
         assert holder.stdout is not None
         holder.stdout.readline()
         words = "another program has it open for writing; close it"
-        for action in (lambda: query_rows(store, "SELECT 1"), lambda: select(store, "SELECT 1")):
+        for action in (lambda: query_rows(queried, "SELECT 1"), lambda: select(queried, "SELECT 1")):
             with pytest.raises(StoreError, match=words):
                 action()
         with pytest.raises(StoreError, match=words):
-            verify(store)
+            verify(queried)
         holder.kill()
 
 
@@ -212,9 +164,9 @@ def test_columns_of_the_same_name_are_kept_apart(ask: Any) -> None:
     assert json.loads(ask("SELECT 1 AS a, 2 AS a")) == [{"a": 1, "a_1": 2}]
 
 
-def test_parquet(store: Store, tmp_path: Path) -> None:
+def test_parquet(queried: Store, tmp_path: Path) -> None:
     output = tmp_path / "it's.parquet"
-    run_query(store.index_path, "FROM segments;", format="parquet", output=output)
+    run_query(queried.index_path, "FROM segments;", format="parquet", output=output)
     assert duckdb.read_parquet(str(output)).count("*").fetchall() == [(5,)]
     assert list(tmp_path.iterdir()) == [output]
 
@@ -236,137 +188,12 @@ def test_reading_statements(ask: Any, sql: str) -> None:
     assert ask(sql, "table").rstrip().endswith(("row)", "rows)"))
 
 
-WRITING = [
-    "COPY frames TO '/tmp/lsnet-pipe-test.csv'",
-    "EXPLAIN COPY frames TO '/tmp/lsnet-pipe-test.csv'",
-    "EXPLAIN ANALYZE COPY frames TO '/tmp/lsnet-pipe-test.csv'",
-    "/**/ EXPLAIN ANALYZE COPY frames TO '/tmp/lsnet-pipe-test.csv'",
-    "EXPLAIN/**/ANALYZE COPY frames TO '/tmp/lsnet-pipe-test.csv'",
-    "EXPORT DATABASE '/tmp/lsnet-pipe-test'",
-    "ATTACH '/tmp/lsnet-pipe-test.duckdb'",
-    "WITH t AS (DELETE FROM frames RETURNING *) SELECT * FROM t",
-    "FROM query('DROP TABLE frames')",
-    "DROP TABLE frames",
-    "PRAGMA table_info('frames')",
-    "SET memory_limit = '10GB'",
-]
-REFUSED = [
-    "",
-    "-- nothing",
-    "DROP TABLE frames",
-    "CREATE TABLE t AS SELECT 1",
-    "CREATE TEMP TABLE t AS SELECT 1",
-    "INSERT INTO models SELECT * FROM models",
-    "UPDATE frames SET status = 'ok'",
-    "DELETE FROM frames",
-    "SELECT 1; DROP TABLE frames",
-    "SELECT 1; SELECT 2",
-    "SET memory_limit = '10GB'",
-    "RESET memory_limit",
-    "INSTALL httpfs",
-    "LOAD httpfs",
-    "CALL duckdb_settings()",
-    "CHECKPOINT",
-    "VACUUM",
-    "BEGIN",
-    "PREPARE p AS SELECT 1",
-    "CREATE SECRET (TYPE s3)",
-]
-
-
-@pytest.mark.parametrize("sql", REFUSED)
-def test_statements_are_judged_before_they_run(sql: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(kind: str, message: str) -> None:
-        raise AssertionError(f"{kind}: {message}")
-
-    monkeypatch.setattr(query_child, "fail", fail)
-    with pytest.raises(AssertionError, match=r"query: one SELECT, WITH, .* is allowed, not "):
-        query_child.check_statement(sql)
-
-
-OUT_OF_REACH = [
-    "SELECT * FROM read_text('/etc/hostname')",
-    "SELECT * FROM read_csv('/etc/hostname')",
-    "SELECT * FROM '/etc/hostname.csv'",
-    "SELECT * FROM glob('/etc/*')",
-    "SELECT * FROM read_json('https://example.com/x.json')",
-    "SELECT * FROM duckdb_secrets()",
-    "SELECT getenv('HOME')",
-    "SELECT * FROM job",
-]
-
-
-REFUSALS = [(sql, True) for sql in WRITING] + [(sql, False) for sql in (WRITING[0], *OUT_OF_REACH)]
-
-
-def test_refused_statements(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By what the statements are and by how the index is opened, without the limits of the child."""
-    answer_here(monkeypatch)
-    before = store.index_path.read_bytes()
-    for sql, allow_files in REFUSALS:
-        with pytest.raises((QueryError, duckdb.Error)):
-            run_query(store.index_path, sql, output=tmp_path / "rows", allow_files=allow_files)
-    assert not list(tmp_path.iterdir())
-    assert not list(Path("/tmp").glob("lsnet-pipe-test*"))  # noqa: S108
-    assert store.index_path.read_bytes() == before
-
-
-@pytest.mark.parametrize(("sql", "allow_files"), [REFUSALS[0], REFUSALS[3], REFUSALS[-5]])
-def test_refusals_of_the_child_are_one_line(ask_child: Any, sql: str, allow_files: bool) -> None:
-    with pytest.raises(QueryError) as caught:
-        ask_child(sql, allow_files=allow_files)
-    assert not any(text in str(caught.value) for text in ("\n", "stopped", "memory"))
-
-
 def test_files_on_demand(ask_child: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
     spans = tmp_path_factory.mktemp("files") / "spans.csv"
     spans.write_text("span,length_m\nA,80\n")
     assert json.loads(ask_child(f"FROM read_csv('{spans}')", allow_files=True)) == [
         {"span": "A", "length_m": 80}
     ]
-
-
-@pytest.mark.parametrize(
-    "sql",
-    [
-        "SELECT length(repeat('x', 2000000000))",
-        "SELECT list(range) FROM range(1000000000)",
-        "SELECT count(*) FROM range(100000000) a, range(100000000) b WHERE sqrt(a.range * b.range) = 3",
-        "WITH RECURSIVE t(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM t) SELECT count(*) FROM t",
-    ],
-)
-def test_bombs_are_stopped(ask_child: Any, sql: str) -> None:
-    start = time.monotonic()
-    with pytest.raises(QueryError, match=r"stopped after 0\.3 s|more than 128 MiB of memory"):
-        ask_child(sql, limits=QueryLimits(timeout_s=0.3, memory_bytes=128 << 20))
-    assert time.monotonic() - start < 3
-
-
-def test_a_large_output_is_stopped_in_time(store: Store, tmp_path: Path) -> None:
-    with pytest.raises(QueryError, match="stopped"):
-        run_query(
-            store.index_path,
-            "SELECT * FROM range(10000000000)",
-            format="csv",
-            output=tmp_path / "rows.csv",
-            limits=QueryLimits(timeout_s=0.3),
-        )
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("sql", "words"),
-    [
-        ("SELECT n_segment FROM frames", 'column "n_segment" not found.*"n_segments"'),
-        ("FROM frame", 'frame does not exist.*Did you mean "frames".*SHOW TABLES'),
-        ("SELEC 1", "syntax error"),
-        ("SELECT 'x'::INTEGER", "Could not convert string 'x' to INT32"),
-    ],
-)
-def test_errors_are_one_line_with_a_hint(ask_child: Any, sql: str, words: str) -> None:
-    with pytest.raises(QueryError, match=words) as caught:
-        ask_child(sql)
-    assert "\n" not in str(caught.value)
 
 
 def test_no_index_yet(tmp_path: Path) -> None:
@@ -387,18 +214,23 @@ def test_corrupt_and_newer_index(tmp_path: Path) -> None:
 
 
 def test_an_output_that_cannot_be_written(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    queried: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer_here(monkeypatch)
     for output in (tmp_path / "missing" / "rows", tmp_path):
         with pytest.raises(QueryError, match="use another file"):
-            run_query(store.index_path, "SELECT 1", output=output)
+            run_query(queried.index_path, "SELECT 1", output=output)
 
 
-def test_command(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+app = typer.Typer()
+app.command()(query)
+app.add_typer(index_command.app, name="index")
+
+
+def test_command(queried: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answer_here(monkeypatch)
     runner = CliRunner()
-    arguments = ["query", "SELECT count(*) AS n FROM frames", "--store", str(store.root)]
+    arguments = ["query", "SELECT count(*) AS n FROM frames", "--store", str(queried.root)]
     assert json.loads(runner.invoke(app, [*arguments, "--format", "json"]).stdout) == [{"n": 4}]
     assert runner.invoke(app, [*arguments, "--format", "csv"]).stdout == "n\n4\n"
     assert "(1 row)" in runner.invoke(app, arguments).stdout
@@ -408,7 +240,7 @@ def test_command(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     parquet = runner.invoke(app, [*arguments, "--format", "parquet"]).stdout_bytes
     assert parquet == output.read_bytes()
     assert runner.invoke(app, [*arguments, "--format", "xml"]).exit_code == 2
-    refused = runner.invoke(app, ["query", "DROP TABLE frames", "--store", str(store.root)])
+    refused = runner.invoke(app, ["query", "DROP TABLE frames", "--store", str(queried.root)])
     assert isinstance(refused.exception, QueryError)
 
 
@@ -425,9 +257,9 @@ def test_index_commands(tmp_path: Path) -> None:
     assert "process its recording again" in rebuilt.stderr
 
 
-def test_a_reader_that_goes_away(store: Store) -> None:
+def test_a_reader_that_goes_away(queried: Store) -> None:
     code = "import typer; from inspect_pipeline.commands.query import query; typer.run(query)"
-    arguments = ["FROM range(10000000)", "--format", "csv", "--store", str(store.root)]
+    arguments = ["FROM range(10000000)", "--format", "csv", "--store", str(queried.root)]
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=pipe, stderr=pipe) as process:
         assert process.stdout is not None

@@ -1,3 +1,5 @@
+"""Recordings of any writer: which frames are read, in which order, and as which flight."""
+
 from __future__ import annotations
 
 import hashlib
@@ -7,23 +9,19 @@ from typing import TYPE_CHECKING
 import factories
 import pytest
 from factories import CAMERA, START_NS, STEP_NS, Shot, make_recording, number_of, shots
-from fakes import FakeDetector
 from mcap.reader import NonSeekingReader
 from mcap.records import Statistics
 from mcap.writer import CompressionType, Writer
 
-from inspect_pipeline.config import ProcessOptions, start_run
 from inspect_pipeline.errors import RecordingError
-from inspect_pipeline.index import publish as index
-from inspect_pipeline.pipeline import process
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
-from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from mcap.data_stream import RecordBuilder
+
 
 WRITERS = {
     "mcap": {},
@@ -50,6 +48,8 @@ WRITERS = {
     "data crc": {"enable_data_crcs": True},
     "attachments and metadata": {"attachments": [b"a" * 5000, b""], "metadata": {"mission": {"line": "7"}}},
 }
+
+
 SDK_WRITERS = {
     "sdk": {},
     "sdk unchunked": {"use_chunks": False},
@@ -128,14 +128,6 @@ def test_statistics_without_the_counts_of_channels(
     assert recording.message_counts().total() == 18
 
 
-@pytest.mark.parametrize("name", ["mcap", "unchunked", "unindexed", "one big chunk"])
-def test_log_time_order_whatever_the_order_in_the_file(tmp_path: Path, name: str) -> None:
-    to_write = shots(60)
-    to_write.sort(key=lambda shot: shot.number * 37 % 60)
-    path = make_recording(tmp_path / "flight.mcap", to_write, **WRITERS[name])
-    assert numbers(path) == [(CAMERA, i, i) for i in range(60)]
-
-
 def test_ties_are_in_file_order_and_cameras_count_apart(tmp_path: Path) -> None:
     to_write = [Shot(i, f"/cam{i % 2}/image", START_NS + i // 4) for i in range(40)]
     path = make_recording(tmp_path / "flight.mcap", to_write)
@@ -206,56 +198,6 @@ def test_the_flight_id_checks_the_crc_of_unchunked_data(tmp_path: Path, strict: 
         assert recording.identity.losses == ("its data section does not match its CRC",)
 
 
-@pytest.mark.parametrize(
-    ("start_ns", "step_ns", "warnings"),
-    [
-        (START_NS, STEP_NS, []),
-        (0, STEP_NS, []),
-        (START_NS // 10**6, 500, ["its log times look like milliseconds instead of nanoseconds"]),
-        (START_NS, 400 * 86_400 * 10**9, ["its log times span 2 years"]),
-    ],
-)
-def test_odd_log_times_give_a_warning(
-    tmp_path: Path, start_ns: int, step_ns: int, warnings: list[str]
-) -> None:
-    to_write = shots(3, start_ns=start_ns, step_ns=step_ns)
-    path = make_recording(tmp_path / "a.mcap", to_write, n_gps_per_shot=0)
-    recording = open_recording(path)
-    assert recording.warnings == warnings
-    assert len(list(iter_frames(recording))) == 3
-
-
-@pytest.mark.parametrize("name", ["mcap", "unindexed", "sdk"])
-def test_messages_out_of_order_give_a_warning(tmp_path: Path, name: str) -> None:
-    in_order = shots(60)
-    mixed = in_order[::2] + in_order[1::2]
-
-    def write(to_write: list[Shot]) -> Path:
-        if name == "sdk":
-            return factories.make_recording_with_sdk(tmp_path / f"{id(to_write)}.mcap", to_write)
-        return make_recording(tmp_path / f"{id(to_write)}.mcap", to_write, **WRITERS[name])
-
-    assert open_recording(write(in_order)).warnings == []
-    (warning,) = open_recording(write(mixed)).warnings
-    assert warning == "its messages are out of order in 1 place"
-
-
-def test_log_times_beyond_what_databases_hold(tmp_path: Path) -> None:
-    to_write = [Shot(1, log_time_ns=2**64 - 2), Shot(0)]
-    path = make_recording(tmp_path / "a.mcap", to_write, n_gps_per_shot=0, encoding="json")
-    assert [f.log_time_ns for f in iter_frames(open_recording(path))] == [START_NS, 2**63 - 1]
-
-
-def test_a_flight_with_an_outlier_of_centuries_is_indexed(tmp_path: Path) -> None:
-    to_write = [*shots(4), Shot(5, log_time_ns=2**63 - 1)]
-    path, store = make_recording(tmp_path / "a.mcap", to_write), Store(tmp_path / "store")
-    detector, options = FakeDetector(), ProcessOptions()
-    result = process(path, store, detector, options, start_run(detector, options))
-    assert index.publish(store).n_flights == 1
-    aside = f"{CAMERA}: 1 image set aside: log times far from all others"
-    assert (result.n_frames, result.warnings) == (4, ("its log times span 239 years", aside))
-
-
 def test_an_annotated_copy_belongs_to_the_flight_it_names(tmp_path: Path) -> None:
     metadata = {"lsnet_pipe.run": {"flight_id": "ab" * 32}}
     recording = open_recording(make_recording(tmp_path / "a.mcap", shots(2), metadata=metadata))
@@ -280,55 +222,6 @@ def test_a_bad_image_is_a_frame_with_a_reason(tmp_path: Path) -> None:
     assert [f.image is None for f in frames] == [False, True, True, False]
     assert [f.error for f in frames] == [None, "the image is empty", "the image cannot be decoded", None]
     assert frames[1].stamp_ns == frames[1].log_time_ns - factories.STAMP_LAG_NS
-
-
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (b"", "it is empty"),
-        (b"hello, this is text", "it is not an MCAP file"),
-        (b"\x89MCAP0\r\n", "the file is cut off"),
-        (b"\x89MCAP0\r\n\x01" + b"\xff" * 40, "the file is cut off"),
-    ],
-)
-def test_other_files_are_refused_in_one_line(tmp_path: Path, content: bytes, problem: str) -> None:
-    path = tmp_path / "bad.mcap"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError) as caught:
-        open_recording(path)
-    assert caught.value.problem == problem
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="no such file"):
-        open_recording(tmp_path / "missing.mcap")
-    with pytest.raises(RecordingError, match="the folder has no recording; make one of photographs"):
-        open_recording(tmp_path)
-
-
-def test_no_camera_topic_is_refused_at_the_call(tmp_path: Path) -> None:
-    path = make_recording(tmp_path / "a.mcap", [])
-    with pytest.raises(RecordingError, match="no camera topic"):
-        iter_frames(open_recording(path))
-    path = make_recording(tmp_path / "b.mcap", shots(2))
-    with pytest.raises(RecordingError, match=f"its image topics: {CAMERA}"):
-        open_recording(path).select_cameras(["/thermal"])
-
-
-def test_the_error_says_why_images_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("inspect_pipeline.images.decode.can_decode", lambda: False)
-    video = [shot._replace(data=b"\0\0\0\1\x67 h264") for shot in shots(2)]
-    path = make_recording(tmp_path / "a.mcap", video)
-    assert open_recording(path).refusals == {CAMERA: "it holds video, which needs the extra 'video'"}
-    with pytest.raises(RecordingError, match=f"no camera topic; {CAMERA}: it holds video"):
-        iter_frames(open_recording(path))
-    how = factories.ENCODINGS["json"]
-    unknown = factories.Encoding("other.CompressedVideo", "jsonschema", b"{}", "json", how.encode)
-    path = make_recording(tmp_path / "b.mcap", shots(2), encoding=unknown)
-    with pytest.raises(RecordingError, match=r"other\.CompressedVideo in json is not read"):
-        iter_frames(open_recording(path))
 
 
 def test_a_camera_in_two_forms_is_taken_once(tmp_path: Path) -> None:
@@ -364,58 +257,6 @@ def test_depth_images_are_not_cameras(tmp_path: Path) -> None:
     to_write = shots(2) + shots(2, "/depth/image_raw/compressedDepth")
     recording = open_recording(make_recording(tmp_path / "a.mcap", to_write, encoding="ros2"))
     assert [c.topic for c in recording.camera_channels] == [CAMERA]
-
-
-@pytest.mark.parametrize("name", ["mcap", "unchunked", "unindexed", "mcap lz4"])
-def test_a_truncated_file_is_read_up_to_the_cut(tmp_path: Path, name: str) -> None:
-    whole = make_recording(tmp_path / "whole.mcap", shots(12), **WRITERS[name]).read_bytes()
-    path = tmp_path / "cut.mcap"
-    n_frames = []
-    for length in range(200, len(whole), 97):
-        path.write_bytes(whole[:length])
-        recording = open_recording(path)
-        frames = list(iter_frames(recording)) if recording.camera_channels else []
-        assert [number_of(f.image) for f in frames] == list(range(len(frames)))
-        assert len(recording.losses) == 1
-        n_frames.append(len(frames))
-        with pytest.raises(RecordingError, match="the part that can be read"):
-            open_recording(path, strict=True)
-    assert n_frames == sorted(n_frames)
-    assert n_frames[-1] == 12
-
-
-def test_a_damaged_chunk_is_lost_and_the_rest_is_read(tmp_path: Path) -> None:
-    path = make_recording(tmp_path / "a.mcap", shots(20), n_gps_per_shot=0)
-    recording = open_recording(path)
-    extent = recording.parts[0].layout.extents[2]
-    content = bytearray(path.read_bytes())
-    content[extent.offset + extent.length - 100] ^= 0x10
-    path.write_bytes(content)
-    frames = iter_frames(recording)
-    assert 0 < len(list(frames)) < 20
-    assert len(frames.losses) == 1
-    assert f"at byte {extent.offset:,}" in frames.losses[0]
-    assert recording.losses == ()
-    with pytest.raises(RecordingError, match="the part that can be read"):
-        list(iter_frames(open_recording(path, strict=True)))
-
-
-def test_a_wrong_summary_is_ignored(tmp_path: Path) -> None:
-    path = make_recording(tmp_path / "a.mcap", shots(20), enable_crcs=False)
-    content = bytearray(path.read_bytes())
-    offset = open_recording(path).parts[0].layout.extents[1].offset
-    at = content.rindex(offset.to_bytes(8, "little"))
-    content[at : at + 8] = (offset + 1).to_bytes(8, "little")
-    path.write_bytes(content)
-    assert numbers(path) == [(CAMERA, i, i) for i in range(20)]
-    assert len(open_recording(path).losses) == 1
-
-
-def test_unknown_compression_is_refused(tmp_path: Path) -> None:
-    path = make_recording(tmp_path / "a.mcap", shots(5), enable_crcs=False)
-    path.write_bytes(path.read_bytes().replace(b"zstd", b"zst9"))
-    with pytest.raises(RecordingError, match="zst9"):
-        list(iter_frames(open_recording(path)))
 
 
 @pytest.mark.parametrize(

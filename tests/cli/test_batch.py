@@ -10,7 +10,6 @@ import tomllib
 from typing import TYPE_CHECKING
 
 import pytest
-from command_line import Outcome, runner
 from factories import make_recording, shots
 from prometheus_client.parser import text_string_to_metric_families
 from stubs import InlineExecutor, make_stub_in_cwd
@@ -23,14 +22,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from command_line import Outcome
+
 
 @pytest.fixture
 def run(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path, bare_flights: None
+    run: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> Callable[..., Outcome]:
     """Run `lsnet-pipe ...` in this process and a folder of its own, where recordings wait in ./inbox."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("LSNET_PIPE_STORE", str(tmp_path / "store"))
     monkeypatch.setattr("inspect_pipeline.batch.options.LocalExecutor", InlineExecutor)
     monkeypatch.setattr(worker, "LoadDetector", make_stub_in_cwd)
     (tmp_path / "inbox").mkdir()
@@ -39,7 +38,7 @@ def run(
     (tmp_path / "inbox" / "odd\n\x1b[2J.mcap").write_bytes(b"no recording")
     for path in (tmp_path / "inbox").iterdir():
         os.utime(path, (0, 0))
-    return runner(monkeypatch, capfd)
+    return run
 
 
 def test_a_night_as_people_see_it(run: Callable[..., Outcome], tmp_path: Path) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import pytest
+from photos import write_photos
 
 from lsnet.synth import dataset, scene
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
@@ -25,15 +25,6 @@ if TYPE_CHECKING:
 
 def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
-
-
-def write_photos(folder: Path, count: int = 4) -> Path:
-    """Photographs 0.png, 1.png, ... each all of one grey, 40 times its number."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for i in range(count):
-        cv2.imwrite(str(folder / f"{i}.png"), np.full((100, 140, 3), 40 * i, np.uint8))
-    (folder / "notes.txt").write_text("no image")
-    return folder
 
 
 @pytest.mark.parametrize(("kind", "least_px"), [("calm", 0.9), ("busy", 2.9)])

@@ -34,7 +34,8 @@ def group_stretches(lines: Polylines, max_gap_px: float) -> Indices:
     if len(lines) < 2:
         return np.arange(len(lines))
     one, other = _partners(*_ends(lines), max_gap_px)
-    return components(len(lines), np.stack([one, other], axis=1) // 2)
+    first = components(len(lines), np.stack([one, other], axis=1) // 2)
+    return np.unique(first, return_inverse=True)[1]
 
 
 def _ends(lines: Polylines) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def components(count: int, pairs: Indices) -> Indices:
-    """Return (count,) the component of each node, numbered from 0, of a graph with edges `pairs` (P, 2).
+    """Return (count,) the first node of the component of each node, in a graph with edges `pairs` (P, 2).
 
     Graphs of an image are small: SciPy takes longer to read one.
     """
@@ -24,5 +24,5 @@ def components(count: int, pairs: Indices) -> Indices:
         np.minimum.at(next_label, label[other], lower)
         next_label = next_label[next_label]
         if np.array_equal(label, next_label):
-            return np.unique(label, return_inverse=True)[1]
+            return label
         label = next_label

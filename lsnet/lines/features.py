@@ -31,6 +31,7 @@ SIDES = tuple(  # of one side, then of the other, by distance: which of the offs
     for side in (-ACROSS_PX, ACROSS_PX)
     for inside in (np.flatnonzero((side >= near) & (side <= far)) for near, far in SIDES_PX)
 )
+SIDE_SHARES = np.array([1 / (side.stop - side.start) for side in SIDES], np.float32)
 GREY = 3  # the channel after red, green and blue
 CELL_STEP_PX = 16
 CHUNK = 32  # lines that are looked at together, so that their pixels stay in the cache
@@ -57,7 +58,8 @@ def _look(image: ImageArray, cell_scores: Floats32, proposals: Proposals, chosen
     """(C, F) features of what lies on and around chosen proposals."""
     strips, places = cut_strips(image, proposals.polylines, chosen)
     tone = strips[:, :, ON_LINE].mean(axis=2)
-    ground = np.stack([strips[:, :, side].mean(axis=2) for side in SIDES])
+    ground = np.stack([np.add.reduce(strips[:, :, side], axis=2) for side in SIDES])
+    ground *= SIDE_SHARES[:, None, None, None]
     grey = strips[GREY, ..., LINE]
     parts = [
         *_profiles(grey, _mean(strips[:GREY, ..., LINE])),

@@ -41,7 +41,10 @@ class PreparedImage:
 
 
 def prepare(image: ImageArray, scale: float) -> PreparedImage:
-    """Resize an image (H, W, 3) by `scale` and repeat its borders up to multiples of 16."""
+    """Resize an image (H, W, 3) by `scale` and repeat its borders up to multiples of 16.
+
+    What needs neither is not copied.
+    """
     source_size = (image.shape[0], image.shape[1])
     height, width = max(1, round(source_size[0] * scale)), max(1, round(source_size[1] * scale))
     if (height, width) != source_size:
@@ -49,8 +52,9 @@ def prepare(image: ImageArray, scale: float) -> PreparedImage:
         image = np.asarray(cv2.resize(image, (width, height), interpolation=how), np.uint8)
     below = max(MIN_SIDE_PX - height, -height % STRIDE_PX)
     right = max(MIN_SIDE_PX - width, -width % STRIDE_PX)
-    pixels = np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), np.uint8)
-    return PreparedImage(pixels, scale, (height, width), source_size)
+    if below or right:
+        image = np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), np.uint8)
+    return PreparedImage(np.ascontiguousarray(image), scale, (height, width), source_size)
 
 
 def automatic_scale(image_size: tuple[int, int]) -> float:

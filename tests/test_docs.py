@@ -106,6 +106,8 @@ def test_the_query_of_the_readme(run: Callable[..., str]) -> None:
 def test_every_query_of_the_readme_runs(run: Callable[..., str]) -> None:
     queries = re.findall(r"```sql\n([^`]*)```", README)
     assert len(queries) >= 3
+    (named,) = re.findall(r"^lsnet-pipe query (.*)", README, re.MULTILINE)
+    assert "span_id" in run("query", *shlex.split(named))
     for sql in queries:
         run("query", sql)
 

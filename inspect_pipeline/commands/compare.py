@@ -15,7 +15,11 @@ _HEADERS = ("span_id", "conductor", "subject", "before", "after", "sd")
 
 def compare(
     before: Annotated[
-        str, typer.Argument(metavar="FLIGHT", help="The earlier flight, or the start of its id.")
+        str,
+        typer.Argument(
+            metavar="FLIGHT",
+            help="The earlier flight: a flight_id or its start, or the name of its recording.",
+        ),
     ],
     after: Annotated[str, typer.Argument(metavar="FLIGHT", help="The later flight.")],
     store: StoreOption = None,
@@ -31,10 +35,10 @@ def compare(
       lsnet-pipe compare 42c8f628 9a1b77e0
     """
     from inspect_pipeline.index.compare import compare_flights
-    from inspect_pipeline.index.flights import find_flight
+    from inspect_pipeline.index.flights import resolve_flight
 
     source = open_store(store)
-    found = compare_flights(source, find_flight(source, before), find_flight(source, after))
+    found = compare_flights(source, resolve_flight(source, before), resolve_flight(source, after))
     typer.echo(f"{count_of(found.n_spans, 'span')} judged by both flights", err=True)
     if as_json:
         for change in found.changes:

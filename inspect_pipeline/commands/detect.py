@@ -31,7 +31,7 @@ _SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"}
 def detect(
     images: Annotated[
         list[str],
-        typer.Argument(metavar="IMAGE...", help="Photographs, folders of them, or globs in quotes."),
+        typer.Argument(metavar="IMAGE", help="Photographs, folders of them, or globs in quotes."),
     ],
     as_json: JsonOption = False,
     min_score: MinScoreOption = None,

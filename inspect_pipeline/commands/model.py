@@ -50,7 +50,8 @@ def train(
         Path | None, typer.Option(metavar="DIR", help="Labelled images to validate on; required with --data.")
     ] = None,
     label: Annotated[
-        list[str] | None, typer.Option(help="Label that counts as a line; may be repeated. Default: all.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Label that counts as a line; may be repeated. Default: all."),
     ] = None,
     recipe: Annotated[
         Recipe, typer.Option(help="Optimizer, schedule and augmentations; paper: those of the paper.")
@@ -88,13 +89,13 @@ def train(
         int | None,
         typer.Option(min=64, metavar="PX", help="Side of the training images. Default: 384; paper: 512."),
     ] = None,
-    validate_every: Annotated[int, typer.Option(min=1, help="Steps between validations.")] = 500,
+    validate_every: Annotated[int, typer.Option(min=1, metavar="N", help="Steps between validations.")] = 500,
     seed: Annotated[
-        int, typer.Option(min=0, max=999_999, help="Seed of the images and the initial weights.")
+        int, typer.Option(min=0, max=999_999, metavar="N", help="Seed of the images and the initial weights.")
     ] = 0,
     device: DeviceOption = Device.AUTO,
-    threads: Annotated[int, typer.Option(min=1, help="Threads of the training process.")] = 1,
-    workers: Annotated[int, typer.Option(min=0, help="Processes that draw images.")] = 1,
+    threads: Annotated[int, typer.Option(min=1, metavar="N", help="Threads of the training process.")] = 1,
+    workers: Annotated[int, typer.Option(min=0, metavar="N", help="Processes that draw images.")] = 1,
     start: Annotated[
         str | None,
         typer.Option(
@@ -162,9 +163,13 @@ def _describe(state: TrainingProgress) -> str:
 
 def export(
     run: RunOption,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .safetensors file to write.")],
-    name: Annotated[str, typer.Option(help="Name of the weights.")],
-    min_score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Default score threshold.")] = 0.5,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="The .safetensors file to write.")
+    ],
+    name: Annotated[str, typer.Option(metavar="NAME", help="Name of the weights.")],
+    min_score: Annotated[
+        float, typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Default score threshold.")
+    ] = 0.5,
     metrics: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Output of `model eval --json` to keep in the file.")
     ] = None,
@@ -182,10 +187,10 @@ def export(
 
 
 def convert(weights: WeightsArgument) -> None:
-    """Convert weights for OpenVINO, in f32 and int8, and keep the result beside them.
+    """Convert weights for OpenVINO, kept beside them.
 
-    They then start without torch, and int8 without NNCF (extra `int8`), which converting needs. Weights that
-    have changed since are converted at every start, as without this.
+    In f32 and int8. They then start without torch, and int8 without NNCF (extra `int8`), which converting
+    needs. Weights that have changed since are converted at every start, as without this.
 
     \b
     Examples:
@@ -200,14 +205,14 @@ def convert(weights: WeightsArgument) -> None:
 
 def synth(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
-    count: Annotated[int, typer.Option(min=1, help="Number of pictures.")] = 100,
+    count: Annotated[int, typer.Option(min=1, metavar="N", help="Number of pictures.")] = 100,
     light: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Environment maps (.hdr) to light with. Default: a sunny sky."),
     ] = None,
-    size: Annotated[int, typer.Option(min=64, help="Side of the square pictures, px.")] = 512,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the pictures.")] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 1,
+    size: Annotated[int, typer.Option(min=64, metavar="PX", help="Side of the square pictures.")] = 512,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the pictures.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes that render.")] = 1,
 ) -> None:
     """Render pictures of cables to train on.
 
@@ -231,7 +236,7 @@ def mine(
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
     min_score: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Minimum score of a false detection.")
+        float, typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Minimum score of a false detection.")
     ] = 0.3,
     scale: Annotated[
         float | None,

@@ -38,18 +38,19 @@ class Device(StrEnum):
     CPU = "cpu"
 
 
-FoldersArgument = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Evaluation sets with truth.")]
+FoldersArgument = Annotated[list[Path], typer.Argument(metavar="DIR", help="Evaluation sets with truth.")]
 ImagesOption = Annotated[int, typer.Option(min=1, metavar="N", help="Drawn images to train on.")]
 StepsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Batches to train each network on.")]
 BatchOption = Annotated[int, typer.Option(min=1, metavar="N", help="Images in a batch.")]
 CropOption = Annotated[int, typer.Option(min=64, metavar="PX", help="Side of the training images.")]
 SeedsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Trainings of each network.")]
 ThinnerOption = Annotated[
-    int, typer.Option(min=1, max=4, help="Divide the channels of the paper's networks by 1, 2 or 4.")
+    int,
+    typer.Option(min=1, max=4, metavar="N", help="Divide the channels of the paper's networks by 1, 2 or 4."),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to train. Default: a GPU if torch can use one.")]
-ThreadsOption = Annotated[int, typer.Option(min=1, help="Threads of the training process.")]
-WorkersOption = Annotated[int, typer.Option(min=0, help="Processes that draw images.")]
+ThreadsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Threads of the training process.")]
+WorkersOption = Annotated[int, typer.Option(min=0, metavar="N", help="Processes that draw images.")]
 
 
 def compare(
@@ -74,11 +75,12 @@ def compare(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare networks, or LS-Net with its rivals, after a short training.
+    """Compare networks after a short training.
 
-    All are trained on the same drawn images. Results are kept in the folder of the run: one that was killed
-    continues when it is started again, and other data or options give other results. Networks are scored by
-    ODS and CPU time, rivals by the ARR, APR and F1 of the paper, whose figures stand beside.
+    Networks of several sizes, scored by ODS and CPU time, or LS-Net with its rivals, scored by the ARR, APR
+    and F1 of the paper, whose figures stand beside. All are trained on the same drawn images. Results are
+    kept in the folder of the run: one that was killed continues when it is started again, and other data or
+    options give other results.
 
     \b
     Examples:
@@ -143,10 +145,11 @@ def ablate(
     workers: WorkersOption = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Repeat the ablations of the paper: strides or pooling, grids, and the losses of endpoints and cells.
+    """Repeat the ablations of the paper.
 
-    Prints APR, ARR and F1 by the paper's protocol for ablations (segments 1 px wide, threshold 0.5), with the
-    paper's own figures beside. Results are kept in the folder of the run, as by `model compare`.
+    Strides or pooling, grids, and the losses of endpoints and cells. Prints APR, ARR and F1 with the paper's
+    protocol for ablations (segments 1 px wide, threshold 0.5), with the paper's own figures beside. Results
+    are kept in the folder of the run, as those of `model compare`.
 
     \b
     Examples:

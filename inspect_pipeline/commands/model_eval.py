@@ -27,12 +27,15 @@ class Use(StrEnum):
 
 
 def evaluate(
-    folders: Annotated[list[Path] | None, typer.Argument(metavar="DIR...", help="Evaluation sets.")] = None,
+    folders: Annotated[list[Path] | None, typer.Argument(metavar="DIR", help="Evaluation sets.")] = None,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
     use: Annotated[Use, typer.Option(help="Score raw segments or merged lines.")] = Use.SEGMENTS,
     min_score: Annotated[
-        float | None, typer.Option(min=0.0, max=1.0, help="Score threshold. Default: that of the weights.")
+        float | None,
+        typer.Option(
+            min=0.0, max=1.0, metavar="SCORE", help="Score threshold. Default: that of the weights."
+        ),
     ] = None,
     paper: Annotated[
         bool, typer.Option("--paper", help="Add ARR, APR and F1 of the paper, by line width.")
@@ -93,7 +96,7 @@ def evaluate(
 
 
 def bench(
-    size: Annotated[int, typer.Option(min=32, help="Side of the square images, px.")] = 512,
+    size: Annotated[int, typer.Option(min=32, metavar="PX", help="Side of the square images.")] = 512,
     images: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Photographs to use. Default: drawn scenes.")
     ] = None,
@@ -130,9 +133,9 @@ def import_set(
     source: Annotated[Path, typer.Argument(metavar="DIR", help="Images and masks as they were published.")],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
 ) -> None:
-    """Make an evaluation set, images/ and masks/, of a published folder of images and masks.
+    """Make an evaluation set of published images.
 
-    A mask has the name of its image, with or without a word as _gt or mask_, in the same folder or in one
+    A folder with images/ and masks/ is made of a folder of both. A mask has the name of its image, with or without a word as _gt or mask_, in the same folder or in one
     named gt, mask, label or ground_truth. Made for the Ground Truth of Power Line set of Yetgin and Gerek.
 
     \b

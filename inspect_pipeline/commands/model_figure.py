@@ -16,7 +16,7 @@ from inspect_pipeline.commands.options import (
 )
 
 app = typer.Typer(
-    help="Draw the figures of the paper: detections, grids, augmentations, losses.",
+    help="Draw the figures of the paper.",
     epilog="Example: lsnet-pipe model figure grids photo.jpg -o grids.png",
     no_args_is_help=True,
 )
@@ -69,7 +69,9 @@ def grids(
     output: OutputOption,
     weights: WeightsOption = "fast",
     runtime: RuntimeOption = "auto",
-    min_score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Score threshold.")] = 0.5,
+    min_score: Annotated[
+        float, typer.Option(min=0.0, max=1.0, metavar="SCORE", help="Score threshold.")
+    ] = 0.5,
     width: WidthOption = 320,
 ) -> None:
     """Draw the segments of one, two, three and four grids, 5 px wide.
@@ -94,7 +96,7 @@ def augmentations(
     output: OutputOption,
     background: BackgroundOption = None,
     size: Annotated[int, typer.Option(min=64, metavar="PX", help="Side of the drawn image.")] = 256,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the image.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the image.")] = 0,
 ) -> None:
     """Draw a training image before and after each augmentation of the paper.
 
@@ -112,7 +114,7 @@ def augmentations(
 
 @app.command()
 def losses(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of runs.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="Chart to write, .svg or .png.")
     ],

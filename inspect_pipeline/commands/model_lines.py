@@ -12,13 +12,17 @@ from inspect_pipeline.commands.progress import progress_bar
 
 
 def lines(
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .safetensors file to write.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="The .safetensors file to write.")
+    ],
     background: BackgroundOption = None,
     weights: WeightsOption = "fast",
     scenes: Annotated[int, typer.Option(min=1, metavar="N", help="Number of scenes to draw.")] = 6000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the scenes and the initial weights.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Seed of the scenes and the initial weights.")
+    ] = 0,
 ) -> None:
-    """Train what a line is worth.
+    """Train the score of lines.
 
     The network of the weights proposes lines in drawn scenes and in photographs without wires; two small
     networks learn which of them are wires. The network itself stays as it is.

@@ -172,9 +172,12 @@ SignalsOption = Annotated[
 FlightOption = Annotated[
     str | None, typer.Option(metavar="FLIGHT", help="Only this flight: its flight_id or the start of it.")
 ]
-FlightArgument = Annotated[str, typer.Argument(metavar="FLIGHT", help="A flight_id or the start of it.")]
+FlightArgument = Annotated[
+    str,
+    typer.Argument(metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."),
+]
 InboxArgument = Annotated[
-    list[str], typer.Argument(metavar="INBOX...", help="Folders, recordings, or globs in quotes.")
+    list[str], typer.Argument(metavar="INBOX", help="Folders, recordings, or globs in quotes.")
 ]
 RunOption = Annotated[Path, typer.Option("--run", metavar="DIR", help="Folder of the run.")]
 BackgroundOption = Annotated[

@@ -48,7 +48,7 @@ _VIEWER_NOTE = "lsnet-pipe view last shows it in Lichtblick or Foxglove, with th
 
 def process(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP), or folders of split ones.")
+        list[Path], typer.Argument(metavar="FILE", help="Recordings (MCAP), or folders of split ones.")
     ],
     store: StoreOption = None,
     config: ConfigOption = None,  # noqa: ARG001 - read by its callback

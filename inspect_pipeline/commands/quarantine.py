@@ -52,7 +52,7 @@ def list_notes(
 def retry(
     note_ids: Annotated[
         list[str],
-        typer.Argument(metavar="ID...", help="Ids of `quarantine list` or the start of them, or `all`."),
+        typer.Argument(metavar="ID", help="Ids of `quarantine list` or the start of them, or `all`."),
     ],
     store: StoreOption = None,
 ) -> None:

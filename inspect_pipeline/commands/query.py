@@ -125,11 +125,19 @@ def _read_sql(sql: str | None, file: Path | None) -> str:
             raise typer.BadParameter(f"stdin is not text ({error})") from error
     else:
         text = sql
+        _refuse_name(sql)
     if not text.strip():
         raise typer.BadParameter("the statement is empty; give SQL, --file FILE or --named NAME")
     if len(text) > _MAX_SQL_CHARS:
         raise typer.BadParameter("the statement is longer than 1 MiB")
     return text
+
+
+def _refuse_name(sql: str) -> None:
+    from inspect_pipeline.index.named_queries import named_queries
+
+    if sql.isidentifier() and sql in named_queries():
+        raise typer.BadParameter(f"{sql!r} is no statement; --named {sql} runs the named query")
 
 
 def _find_named(name: str, values: list[str], is_shown: bool) -> str | None:

@@ -32,12 +32,16 @@ def _parse_size(text: str) -> tuple[int, int]:
 
 def simulate(
     target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to write (MCAP).")],
-    seconds: Annotated[float, typer.Option(min=0.1, callback=finite, help="Length of the flight.")] = 20.0,
-    fps: Annotated[float, typer.Option(min=0.1, callback=finite, help="Images per second.")] = 2.0,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, metavar="S", callback=finite, help="Length of the flight.")
+    ] = 20.0,
+    fps: Annotated[
+        float, typer.Option(min=0.1, metavar="N", callback=finite, help="Images per second.")
+    ] = 2.0,
     size: Annotated[
         str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the images, in px.")
     ] = "1280x720",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the landscape and the line.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the landscape and the line.")] = 0,
     flight: Annotated[FlightKind, typer.Option(help="Path of the drone.")] = FlightKind.PASS_BY,
     fault: Annotated[
         list[FaultKind] | None, typer.Option(help="Add a fault where the camera sees it; may be repeated.")

@@ -62,6 +62,7 @@ HELP = (
         ["query", "SELECT 1", "--named", "flights"],
         ["query", "-f", "none.sql"],
         ["query", " "],
+        ["query", "spans"],
         ["query", "SELECT 1", "-o", ""],
         ["overlay", "last", "-o", ""],
         ["flights", "list", "--store", ""],

@@ -135,8 +135,9 @@ def import_set(
 ) -> None:
     """Make an evaluation set of published images.
 
-    A folder with images/ and masks/ is made of a folder of both. A mask has the name of its image, with or without a word as _gt or mask_, in the same folder or in one
-    named gt, mask, label or ground_truth. Made for the Ground Truth of Power Line set of Yetgin and Gerek.
+    A folder with images/ and masks/ is made of a folder of both. A mask has the name of its image, with or
+    without a word as _gt or mask_, in the same folder or in one named gt, mask, label or ground_truth. Made
+    for the Ground Truth of Power Line set of Yetgin and Gerek.
 
     \b
     Examples:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import gc
 import os
@@ -28,17 +29,13 @@ if TYPE_CHECKING:
 
 cv2.setNumThreads(1)
 gc.disable()  # until all tests are imported
+atexit.register(gc.unfreeze)  # or DuckDB's bindings report objects that were not freed
 
 
 def pytest_collection_finish() -> None:
     """Keep imported objects out of garbage collections."""
     gc.freeze()
     gc.enable()
-
-
-def pytest_unconfigure() -> None:
-    """Undo it at the end, or DuckDB's bindings report objects that were not freed."""
-    gc.unfreeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

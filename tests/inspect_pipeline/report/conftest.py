@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def truth() -> FlightTruth:
     faults = (FaultKind.CONDUCTOR_GAP, FaultKind.DARK)
-    return simulate_truth(SimulationOptions(20, 4, seed=3, faults=faults))
+    return simulate_truth(SimulationOptions(20, 2, seed=3, faults=faults))
 
 
 @pytest.fixture(scope="session")

@@ -146,7 +146,7 @@ def run_case(case: Case) -> dict[str, Any]:
         "planted": len(truth.faults),
         "hits": hits,
         "others": dict(others),
-        "judged": [is_judged(plan, fault, rows) for fault in truth.faults],
+        "judged": [is_judged(plan, truth, fault, rows) for fault in truth.faults],
         "conductors": conductor_errors(plan, rows["conductors"]),
     }
     if case.fault is None:

@@ -123,16 +123,18 @@ def unknown_coverage(rows: list[dict[str, Any]]) -> UnknownCoverage:
     )
 
 
-def is_judged(plan: FlightPlan, fault: FaultTruth, rows: dict[str, Any]) -> bool:
-    """Whether the index says that it judged what a fault is about: half of the span, and of its conductor.
+def is_judged(plan: FlightPlan, truth: FlightTruth, fault: FaultTruth, rows: dict[str, Any]) -> bool:
+    """Whether the index says that it judged what a fault is about.
 
-    Rules about frames always judge.
+    That is half of what the flight shows of its span, by the truth, and of its conductor. Rules about frames
+    always judge.
     """
     kind = KINDS[fault.kind]
     if fault.span_id is None or kind == "crossing_line":
         return True
     own = [row for row in rows["judged"] if (row["span_id"], row["kind"]) == (fault.span_id, kind)]
-    if not own or own[0]["judged_m"] < own[0]["length_m"] / 2:
+    in_view = truth.span_coverage[fault.span_id]
+    if not own or own[0]["judged_m"] < own[0]["length_m"] * in_view / 2:
         return False
     if kind not in {"conductor_count", "conductor_lost", "conductor_gap"}:
         return True

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_FRAMES = 300  # of a span: more are thinned out, as neighbours show the same
+_NEAR_M = (0.2, 0.1)  # within which the lines of a conductor lie, in frames aligned at first and then better
 _MAX_HIDDEN = 0.5  # of the views of a conductor, which another one spoils
 _MIN_PRESENT = 0.4  # of the votes; with fewer, and too few against it, frames disagree
 PRESENT, ABSENT, UNKNOWN = 1, 0, -1
@@ -96,9 +97,11 @@ def gather_evidence(
             sights.setdefault(span.line_id, []).append(_look(axis, cameras, lines, rules))
     evidence = []
     for group in sights.values():
-        refined = align_spans(group)
-        places = find_places(refined)
-        if places:
+        refined, places = align_spans(group), []
+        for near_m in _NEAR_M:
+            places = find_places(refined, near_m)
+            if not places:
+                break
             refined, places = refine(group, refined, places)
         evidence += [_judge_span(one, places, (path[known], problems[known]), rules) for one in refined]
     return evidence

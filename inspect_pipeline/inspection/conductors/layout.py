@@ -11,18 +11,16 @@ from scipy.ndimage import gaussian_filter1d
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from inspect_pipeline.arrays import Ints
+    from inspect_pipeline.arrays import Floats, Ints
     from inspect_pipeline.inspection.conductors.sight import SpanSight
 
-_CELL_M, _REACH_M = 0.05, 12.0
+_CELL_M, _REACH_M = 0.02, 12.0
 _HEIGHTS_M = np.arange(-4.0, 4.01, 0.5)
-_HEIGHT_PENALTY = 0.01  # per square metre: of equal places, that nearest to the nominal height
-_BLUR_M, _NEAR_M = 0.12, 0.3  # of places; around one, in which lines belong to it
+_NOT_WORSE = 0.9  # of the votes for the best height: of these, that nearest to the nominal one
 _SEPARATE_M, _MIN_TOGETHER = 0.75, 0.3  # nearer places are two only where frames show both at once
 _MIN_BINS, _MIN_SHARE = 6, 0.35  # metres, along which a share of the frames has a conductor
 _MIN_VIEWS = 2
-_MAX_CONDUCTORS = 24
-_NOISE_PX = 3.0
+_MAX_CONDUCTORS, _MAX_FAILURES = 24, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,89 +32,104 @@ class Place:
     sag_m: float = 0.0
 
 
-def find_places(sights: Sequence[SpanSight]) -> list[Place]:
-    """Return the places of conductors that spans with the same structures have in common."""
-    pool = _Pool(sights)
+def find_places(sights: Sequence[SpanSight], near_m: float) -> list[Place]:
+    """Return the places of conductors that spans with the same structures have in common.
+
+    near_m: within which the lines of one conductor lie, in frames that are aligned.
+    """
+    pool = _Pool(sights, near_m)
     places: list[Place] = []
-    while len(places) < _MAX_CONDUCTORS and pool.is_open.any():
-        place = pool.best()
-        own = pool.take(place)
+    taken: list[Ints] = []
+    n_failures = 0
+    while len(places) < _MAX_CONDUCTORS and n_failures < _MAX_FAILURES and pool.is_open.any():
+        place, own = pool.take_best()
         if not pool.is_steady(own):
-            if not pool.retry():
-                break
-            continue
-        if all(pool.is_other(own, other) for other in places):
+            n_failures += 1
+        elif all(pool.is_other(own, place, other, theirs) for other, theirs in zip(places, taken, strict=True)):
             places.append(place)
+            taken.append(own)
     return sorted(places, key=lambda place: place.across_m)
 
 
 class _Pool:
-    """Crossings of several spans, of which those of found places are taken out."""
+    """The lines of several spans, of which those of found places are taken out.
 
-    def __init__(self, sights: Sequence[SpanSight]) -> None:
-        self.sights = sights
-        sizes = [len(one.view.across_m) for one in sights]
-        self.owner = np.repeat(np.arange(len(sights)), sizes)
-        self.is_open = np.concatenate([one.fine[one.view.frame, one.view.bin] for one in sights])
-        self.lifted = [np.concatenate([one.at_height(e, 0.0) for one in sights]) for e in _HEIGHTS_M]
-        scale = np.concatenate([one.scale_px[one.view.frame, one.view.bin] for one in sights])
-        self.near_m = np.clip(_NOISE_PX / np.maximum(scale, 1e-9), 0.12, _NEAR_M)
-        self.bins = np.concatenate([one.view.bin for one in sights])
-        frames = np.cumsum([0, *(len(one.rows) for one in sights)])
-        self.frames = np.concatenate([one.view.frame + frames[i] for i, one in enumerate(sights)])
+    is_open (L,): lines that are left. across_m (H, L): where a line lies at each height. line, key (C,): of
+    crossings, in ascending order; the key is of the frame and the bin.
+    """
+
+    def __init__(self, sights: Sequence[SpanSight], near_m: float) -> None:
+        self.near_m = near_m
         self.n_bins = max(len(one.axis.centres) for one in sights)
+        n_lines = np.cumsum([0, *(len(one.lines) for one in sights)])
+        n_frames = np.cumsum([0, *(len(one.rows) for one in sights)])
+        fine = [np.flatnonzero(one.fine[one.view.frame, one.view.bin]) for one in sights]
+        pairs = list(zip(sights, fine, strict=True))
+        line = np.concatenate([one.view.line[own] + n_lines[i] for i, (one, own) in enumerate(pairs)])
+        order = np.argsort(line, kind="stable")
+        frame = np.concatenate([one.view.frame[own] + n_frames[i] for i, (one, own) in enumerate(pairs)])
+        bins = np.concatenate([one.view.bin[own] for one, own in pairs])
+        self.line, self.key = line[order], (frame * self.n_bins + bins)[order]
+        self.span = np.repeat(np.arange(len(sights)), [len(one.rows) for one in sights])
+        self.counts = np.bincount(line, minlength=n_lines[-1])
+        self.across_m = np.stack(
+            [self._by_line(np.concatenate([one.at_height(e, 0.0)[own] for one, own in pairs])[order])
+             for e in _HEIGHTS_M.tolist()]
+        )  # fmt: skip
+        self.is_open = (self.counts > 0) & (np.abs(self.across_m) <= _REACH_M - near_m).all(axis=0)
         self.views = np.zeros((len(sights), self.n_bins))
         for i, one in enumerate(sights):
             self.views[i, : len(one.axis.centres)] = one.fine.sum(axis=0)
-        self.n_failures = 0
 
-    def best(self) -> Place:
-        """Return the place that explains most of what is left."""
+    def _by_line(self, across_m: Floats) -> Floats:
+        """Return the mean of crossings (C,) of each line (L,)."""
+        sums = np.bincount(self.line, across_m, len(self.counts))
+        return np.asarray(sums / np.maximum(self.counts, 1))
+
+    def take_best(self) -> tuple[Place, Ints]:
+        """Return the place that explains most of what is left, and the crossings of its lines, taken out."""
         n_cells = round(2 * _REACH_M / _CELL_M)
-        best, found = -np.inf, Place(0.0, 0.0)
-        for i, raised_m in enumerate(_HEIGHTS_M.tolist()):
-            cells = np.round((self.lifted[i][self.is_open] + _REACH_M) / _CELL_M).astype(np.int64)
-            cells = cells[(cells >= 0) & (cells < n_cells)]
-            votes = gaussian_filter1d(
-                np.bincount(cells, minlength=n_cells).astype(np.float64), _BLUR_M / _CELL_M
-            )
-            score = votes.max() * (1 - _HEIGHT_PENALTY * raised_m**2)
-            if score > best:
-                best, found = score, Place(float(votes.argmax() * _CELL_M - _REACH_M), raised_m)
-        self.height = int(np.flatnonzero(found.raised_m == _HEIGHTS_M)[0])
-        return found
+        left = np.flatnonzero(self.is_open)
+        cells = np.round((self.across_m[:, left] + _REACH_M) / _CELL_M).astype(np.int64)
+        votes = np.stack([np.bincount(one, self.counts[left], n_cells) for one in cells])
+        votes = gaussian_filter1d(votes, self.near_m / 2 / _CELL_M, axis=1)
+        most = votes.max(axis=1)
+        good = np.flatnonzero(most >= _NOT_WORSE * most.max())
+        height = int(good[np.argmin(np.abs(_HEIGHTS_M[good]))])
+        centre_m = float(votes[height].argmax() * _CELL_M - _REACH_M)
+        away = np.abs(self.across_m[height] - centre_m)
+        crossings = self._nearest(np.flatnonzero(self.is_open & (away <= self.near_m)), away)
+        self.is_open[self.line[crossings]] = False
+        return Place(centre_m, float(_HEIGHTS_M[height])), crossings
 
-    def take(self, place: Place) -> Ints:
-        """Return the open crossings near a place, and take them out."""
-        away = np.abs(self.lifted[self.height] - place.across_m)
-        own = np.flatnonzero(self.is_open & (away <= np.maximum(self.near_m, 0.2)))
-        self.is_open[own] = False
-        return own
+    def _nearest(self, lines: Ints, away: Floats) -> Ints:
+        """Return the crossings of those lines of which most are the nearest one of their frame and bin."""
+        chosen = np.zeros(len(self.counts), bool)
+        chosen[lines] = True
+        rows = np.flatnonzero(chosen[self.line])
+        order = rows[np.lexsort((away[self.line[rows]], self.key[rows]))]
+        _, first = np.unique(self.key[order], return_index=True)
+        wins = np.bincount(self.line[order[first]], minlength=len(self.counts))
+        chosen &= wins > self.counts / 2
+        return np.flatnonzero(chosen[self.line])
 
     def is_steady(self, own: Ints) -> bool:
         """Return whether enough frames have a conductor there along some metres of half of the spans."""
-        key = (self.owner[own] * self.n_bins + self.bins[own]) * (self.frames.max() + 1) + self.frames[own]
-        bins = np.unique(key) // (self.frames.max() + 1)
-        seen = np.bincount(bins, minlength=self.views.size).reshape(self.views.shape)
+        frame, bins = np.divmod(np.unique(self.key[own]), self.n_bins)
+        seen = np.bincount(self.span[frame] * self.n_bins + bins, minlength=self.views.size)
+        seen = seen.reshape(self.views.shape)
         steady = (seen >= _MIN_SHARE * self.views) & (seen >= _MIN_VIEWS)
         n_steady = int(np.count_nonzero(steady.sum(axis=1) >= _MIN_BINS))
         n_seen = int(np.count_nonzero((self.views >= _MIN_VIEWS).sum(axis=1) >= _MIN_BINS))
         return bool(n_steady >= max(1, n_seen // 2))
 
-    def retry(self) -> bool:
-        """Return whether to look for further places after one that was not steady."""
-        self.n_failures += 1
-        return self.n_failures < 3
+    def is_other(self, own: Ints, place: Place, other: Place, theirs: Ints) -> bool:
+        """Return whether crossings are of another conductor than those of a known one.
 
-    def is_other(self, own: Ints, other: Place) -> bool:
-        """Return whether crossings are of another conductor than a known one: frames show both at once."""
-        i = int(np.flatnonzero(other.raised_m == _HEIGHTS_M)[0])
-        away = np.abs(self.lifted[i] - other.across_m)
-        nearest = np.median(np.abs(self.lifted[i][own] - other.across_m)) if len(own) else 0.0
-        if nearest > _SEPARATE_M:
+        They are if frames show both at once, or if they lie far away.
+        """
+        height = int(np.flatnonzero(other.raised_m == _HEIGHTS_M)[0])
+        if np.median(np.abs(self.across_m[height, self.line[own]] - other.across_m)) > _SEPARATE_M:
             return True
-        width = int(self.n_bins)
-        near_other = np.setdiff1d(np.flatnonzero(away <= np.maximum(self.near_m, 0.2)), own)
-        mine = np.unique(self.frames[own] * width + self.bins[own])
-        theirs = np.unique(self.frames[near_other] * width + self.bins[near_other])
-        return len(np.intersect1d(mine, theirs)) >= _MIN_TOGETHER * len(mine)
+        mine = np.unique(self.key[own])
+        return len(np.intersect1d(mine, self.key[theirs])) >= _MIN_TOGETHER * len(mine)

@@ -1,4 +1,8 @@
-"""Refine the places of conductors and the alignment of frames together, by least squares in turns."""
+"""Refine the places of conductors and the alignment of frames together, by least squares.
+
+What a frame shows of a conductor is linear in the errors of its pose, and in where the conductor hangs: so
+both are solved for at once, in rounds, between which lines are assigned to conductors anew.
+"""
 
 from __future__ import annotations
 
@@ -7,33 +11,35 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inspect_pipeline.inspection.conductors.layout import Place
 from inspect_pipeline.inspection.conductors.votes import NO_CONDUCTOR, assign_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from inspect_pipeline.arrays import Floats, Ints
-    from inspect_pipeline.inspection.conductors.layout import Place
     from inspect_pipeline.inspection.conductors.sight import SpanSight
 
-_ROUNDS = 5
-_LINE_NOISE_M = 0.1  # of the lines of a conductor in a frame
-_RAISED_SD_M, _SAG_SD_M = 2.0, 1.0  # of heights and sag about the nominal ones
-# Standard deviations of pose errors: shift in m, turn in m per m, scale, and turn by distance aside. They are
-# taken from the corrections themselves, within bounds.
-_LEAST_SD, _MOST_SD = np.array([0.1, 0.003, 0.01, 0.0003]), np.array([2.0, 0.05, 0.12, 0.003])
+_ROUNDS = 4
+_LINE_NOISE_M, _LINE_NOISE_PX = 0.08, 2.0  # of a line in a frame; its crossings share errors
+# Standard deviations of places: height and sag, of one conductor about the mean of all, and of that mean.
+_OWN_SD_M, _MEAN_SD_M = np.array([2.0, 0.4]), np.array([0.5, 0.4])
+# Standard deviations of pose errors: shift in m, turn in m per m, scale, and turn and roll by distance aside.
+# They are taken from the corrections themselves, within bounds.
+_LEAST_SD = np.array([0.1, 0.003, 0.01, 0.0003, 0.0003])
+_MOST_SD = np.array([2.0, 0.05, 0.15, 0.003, 0.003])
 _MEDIAN_TO_SD = 1.4826
-_NEAR_M = 0.5  # of where a conductor appears: lines farther away belong to one that was moved
-_MIN_CONDUCTORS = 2  # of a frame that is aligned
+_NEAR_M, _NEAR_SD = 0.5, 4.0  # of where a conductor appears: lines farther away belong to one that was moved
 _SAME_M, _MIN_TOGETHER = 0.6, 0.3  # nearer places are two only where frames have lines of both
 
 
 @dataclass(frozen=True, eq=False)
 class _Matches:
-    """Crossings of one span with a conductor: rows of crossings, and their conductors."""
+    """Crossings of one span with a conductor: rows of crossings, their conductors and weights."""
 
     rows: Ints
     places: Ints
+    weights: Floats
 
 
 def refine(
@@ -43,48 +49,71 @@ def refine(
 
     raw: as recorded. aligned: the same, aligned well enough to match lines with places.
     """
-    sights, places, sd = list(aligned), list(places), _first_sd(raw, aligned)
+    sights, places = list(aligned), list(places)
+    corrections = [_first_corrections(one, other) for one, other in zip(raw, aligned, strict=True)]
+    sd = _usual_sd(corrections)
     for _ in range(_ROUNDS):
         matches = [_match(one, places) for one in sights]
-        corrections = [_correct(one, found, places, sd) for one, found in zip(raw, matches, strict=True)]
-        known = np.concatenate(corrections)
-        known = known[known.any(axis=1)]
-        if len(known):  # what all frames have in common is no error of single poses
-            sd = np.clip(_MEDIAN_TO_SD * np.median(np.abs(known), axis=0), _LEAST_SD, _MOST_SD)
-            corrections = [one - np.median(known, axis=0) for one in corrections]
+        corrections, places = _solve(sights, matches, corrections, places, sd)
+        sd = _usual_sd(corrections)
         sights = [_apply(one, found) for one, found in zip(raw, corrections, strict=True)]
-        places = [_fit(k, place, sights, matches) for k, place in enumerate(places)]
-        places = _centre(_merge(places, sights), sights)
+        places = _merge(places, sights)
     return [_with_noise(one, places, float(sd[0])) for one in sights], places
 
 
-def _first_sd(raw: Sequence[SpanSight], aligned: Sequence[SpanSight]) -> Floats:
-    """Return the standard deviation of corrections by how far the first alignment moved frames."""
-    pairs = [(one, other) for one, other in zip(raw, aligned, strict=True) if len(one.rows)]
-    shift_m = np.concatenate([np.abs(other.side_m - one.side_m) for one, other in pairs])
-    scale = np.concatenate([np.abs(other.above_m / one.above_m - 1)[:, 0] for one, other in pairs])
-    moved = _MEDIAN_TO_SD * np.array([np.nanmedian(shift_m), np.nanmedian(scale)])
-    share = np.clip(moved / _MOST_SD[[0, 2]], 0.0, 1.0).max()
-    return np.asarray(np.maximum(share * _MOST_SD, 2 * _LEAST_SD))
+def _first_corrections(raw: SpanSight, aligned: SpanSight) -> Floats:
+    """Return the corrections (N, 5) that a first alignment has made: shift, turn and scale."""
+    frame, n_frames = raw.view.frame, len(raw.rows)
+    corrections = np.zeros((n_frames, len(_MOST_SD)))
+    corrections[:, 0] = np.nan_to_num(aligned.side_m - raw.side_m)
+    corrections[:, 2] = np.nan_to_num((aligned.above_m / raw.above_m - 1)[:, 0])
+    by_pose = _by_pose(raw)
+    left = aligned.view.across_m - raw.view.across_m - (by_pose * corrections[frame]).sum(axis=1)
+    total = np.bincount(frame, by_pose[:, 1] ** 2, n_frames)
+    corrections[:, 1] = np.bincount(frame, by_pose[:, 1] * left, n_frames) / np.maximum(total, 1e-9)
+    return corrections
+
+
+def _usual_sd(corrections: Sequence[Floats]) -> Floats:
+    """Return the standard deviation (5,) of corrections, within bounds."""
+    known = np.concatenate(corrections)
+    known = known[known.any(axis=1)]
+    sd = _MEDIAN_TO_SD * np.median(np.abs(known), axis=0) if len(known) else _LEAST_SD
+    return np.asarray(np.clip(sd, _LEAST_SD, _MOST_SD))
 
 
 def _with_noise(sight: SpanSight, places: Sequence[Place], shift_sd_m: float) -> SpanSight:
     """Return the sight with the noise of its crossings and positions."""
     found = _match(sight, places)
-    away = [
-        np.abs(sight.view.across_m[rows] - predict_across(sight, rows, place)[0])
-        for k, place in enumerate(places)
-        if len(rows := found.rows[found.places == k])
-    ]
-    noise_m = _MEDIAN_TO_SD * float(np.median(np.concatenate(away))) if away else sight.noise_m
+    away = np.abs(_residuals(sight, found, places))
+    noise_m = _MEDIAN_TO_SD * float(np.median(away)) if len(away) else sight.noise_m
     return replace(sight, noise_m=noise_m, shift_sd_m=shift_sd_m)
 
 
 def _match(sight: SpanSight, places: Sequence[Place]) -> _Matches:
-    owner = assign_lines(sight, places)[sight.view.line]
-    is_fine = sight.fine[sight.view.frame, sight.view.bin]
-    rows = np.flatnonzero((owner != NO_CONDUCTOR) & is_fine)
-    return _Matches(rows, owner[rows])
+    """Return the crossings of lines with conductors, weighted by how well they fit."""
+    view = sight.view
+    owner = assign_lines(sight, places)[view.line]
+    rows = np.flatnonzero((owner != NO_CONDUCTOR) & sight.fine[view.frame, view.bin])
+    found = _Matches(rows, owner[rows], np.ones(len(rows)))
+    if not len(rows):
+        return found
+    away = np.abs(_residuals(sight, found, places))
+    near_m = np.clip(_NEAR_SD * _MEDIAN_TO_SD * float(np.median(away)), _LINE_NOISE_M, _NEAR_M)
+    fits = np.clip(1 - (away / (2 * near_m)) ** 2, 0.0, 1.0) ** 2
+    line = view.line[rows]
+    counts = np.bincount(line)[line]
+    noise_m = np.hypot(_LINE_NOISE_M, _LINE_NOISE_PX / sight.scale_px[view.frame[rows], view.bin[rows]])
+    return replace(found, weights=fits / counts / noise_m**2)
+
+
+def _residuals(sight: SpanSight, found: _Matches, places: Sequence[Place]) -> Floats:
+    """Return by how much crossings are off from where their conductors appear."""
+    appears = np.zeros(len(found.rows))
+    for k, place in enumerate(places):
+        own = found.places == k
+        appears[own] = predict_across(sight, found.rows[own], place)[0]
+    return np.asarray(sight.view.across_m[found.rows] - appears)
 
 
 def predict_across(sight: SpanSight, rows: Ints, place: Place) -> tuple[Floats, Floats]:
@@ -97,82 +126,99 @@ def predict_across(sight: SpanSight, rows: Ints, place: Place) -> tuple[Floats, 
     return side_m + away_m * ratio, np.column_stack((ratio, by_height, -by_height * parabola))
 
 
-def _terms(sight: SpanSight) -> Floats:
-    """Return by what pose errors move crossings: (C, 4)."""
+def _by_pose(sight: SpanSight) -> Floats:
+    """Return by what pose errors move crossings: (C, 5)."""
     frame = sight.view.frame
     ahead_m = sight.axis.bins_m[sight.view.bin] - sight.from_m[frame]
     aside_m = sight.view.across_m - sight.side_m[frame]
-    return np.column_stack((np.ones_like(ahead_m), ahead_m, aside_m, ahead_m * aside_m))
+    return np.column_stack((np.ones_like(ahead_m), ahead_m, aside_m, ahead_m * aside_m, aside_m**2))
 
 
-def _correct(sight: SpanSight, found: _Matches, places: Sequence[Place], sd: Floats) -> Floats:
-    """Return corrections (N, 4) that move the lines of each frame to where their conductors appear."""
-    wanted = np.zeros(len(found.rows))
+def _solve(
+    sights: Sequence[SpanSight],
+    matches: Sequence[_Matches],
+    corrections: Sequence[Floats],
+    places: Sequence[Place],
+    sd: Floats,
+) -> tuple[list[Floats], list[Place]]:
+    """Return better corrections (N, 5) of the frames of each span, and better places of conductors.
+
+    The corrections of each frame are eliminated first, which leaves equations for the places alone.
+    """
+    now = np.array([(place.across_m, place.raised_m, place.sag_m) for place in places])
+    normal = _prior(len(places))
+    right = -normal @ now.ravel()
+    gains = []
+    for sight, found, known in zip(sights, matches, corrections, strict=True):
+        by_frame, mixed, wanted, own, own_wanted = _equations(sight, found, known, places)
+        by_frame += np.diag(sd**-2.0)
+        wanted -= known / sd**2
+        gain = np.linalg.solve(by_frame, np.concatenate((mixed, wanted[:, :, np.newaxis]), axis=2))
+        normal += own - np.einsum("nip,niq->pq", mixed, gain[:, :, :-1])
+        right += own_wanted - np.einsum("nip,ni->p", mixed, gain[:, :, -1])
+        gains.append(gain)
+    step = np.linalg.solve(normal, right)
+    better = [
+        known + gain[:, :, -1] - gain[:, :, :-1] @ step for known, gain in zip(corrections, gains, strict=True)
+    ]
+    return better, [Place(*three) for three in (now + step.reshape(-1, 3)).tolist()]
+
+
+def _equations(
+    sight: SpanSight, found: _Matches, corrections: Floats, places: Sequence[Place]
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return normal equations of corrections (N, 5, 5) and mixed ones (N, 5, 3K), right-hand sides (N, 5).
+
+    Further those of places (3K, 3K), and their right-hand side (3K,). Residuals are those of the lines as
+    recorded: if they were those of scaled lines, smaller scales would seem to fit better.
+    """
+    n_frames, n_terms, n_values = len(sight.rows), corrections.shape[1], 3 * len(places)
+    by_frame, wanted = np.zeros((n_frames, n_terms, n_terms)), np.zeros((n_frames, n_terms))
+    mixed, own = np.zeros((n_frames, n_terms, n_values)), np.zeros((n_values, n_values))
+    own_wanted = np.zeros(n_values)
+    by_pose = _by_pose(sight)
     for k, place in enumerate(places):
-        own = found.places == k
-        wanted[own] = predict_across(sight, found.rows[own], place)[0]
-    residuals, terms = wanted - sight.view.across_m[found.rows], _terms(sight)[found.rows]
-    frame = sight.view.frame[found.rows]
-    corrections = np.zeros((len(sight.rows), terms.shape[1]))
-    order = np.argsort(frame, kind="stable")
-    for group in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1):
-        n_conductors = len(np.unique(found.places[group]))
-        if n_conductors < _MIN_CONDUCTORS:
-            continue
-        near = group[np.abs(residuals[group] - np.median(residuals[group])) < _NEAR_M]
-        weight = n_conductors / len(group) / _LINE_NOISE_M**2
-        normal = weight * terms[near].T @ terms[near] + np.diag(sd**-2.0)
-        corrections[frame[group[0]]] = np.linalg.solve(normal, weight * terms[near].T @ residuals[near])
-    return corrections
+        chosen = found.places == k
+        rows, weights = found.rows[chosen], found.weights[chosen, np.newaxis]
+        frame = sight.view.frame[rows]
+        appears, by_place = predict_across(sight, rows, place)
+        _, ahead_m, aside_m = (by_pose[rows, i] for i in range(3))
+        c = corrections[frame]
+        scale = np.maximum(1 + c[:, 2] + ahead_m * c[:, 3] + 2 * aside_m * c[:, 4], 0.5)[:, np.newaxis]
+        off_m = (sight.view.across_m[rows] - appears)[:, np.newaxis] / scale
+        ratio, aside_m = by_place[:, 0], appears - sight.side_m[frame]
+        pose = -np.column_stack((ratio, ahead_m, ratio * aside_m, ahead_m * aside_m, aside_m**2)) / scale
+        place_terms = by_place / scale
+        values = slice(3 * k, 3 * k + 3)
+        own[values, values] = (weights * place_terms).T @ place_terms
+        own_wanted[values] = ((weights * off_m).T @ place_terms)[0]
+        _add(by_frame, frame, pose, weights * pose)
+        _add(mixed[:, :, values], frame, pose, weights * place_terms)
+        _add(wanted[:, :, np.newaxis], frame, pose, weights * off_m)
+    return by_frame, mixed, wanted, own, own_wanted
+
+
+def _add(sums: Floats, frame: Ints, left: Floats, right: Floats) -> None:
+    """Add the products of two sets of columns (C, I) and (C, J) to the sums (N, I, J) of their frames."""
+    for i in range(left.shape[1]):
+        for j in range(right.shape[1]):
+            sums[:, i, j] += np.bincount(frame, left[:, i] * right[:, j], len(sums))
+
+
+def _prior(n_places: int) -> Floats:
+    """Return the normal equations (3K, 3K) of what is expected of heights and sags."""
+    normal = np.zeros((n_places, 3, n_places, 3))
+    mean = np.full((n_places, n_places), 1 / n_places)
+    normal[:, 0, :, 0] = np.eye(n_places) * 1e-6
+    for i, (own_m, mean_m) in enumerate(zip(_OWN_SD_M, _MEAN_SD_M, strict=True), start=1):
+        normal[:, i, :, i] = (np.eye(n_places) - mean) / own_m**2 + mean / mean_m**2
+    return normal.reshape(3 * n_places, -1)
 
 
 def _apply(sight: SpanSight, corrections: Floats) -> SpanSight:
     """Return the sight with its lines and cameras moved."""
-    moved_m = (_terms(sight) * corrections[sight.view.frame]).sum(axis=1)
+    moved_m = (_by_pose(sight) * corrections[sight.view.frame]).sum(axis=1)
     return sight.move(sight.view.across_m + moved_m, corrections[:, 0], 1 + corrections[:, 2])
-
-
-def _fit(k: int, place: Place, sights: Sequence[SpanSight], matches: Sequence[_Matches]) -> Place:
-    """Return the place of a conductor, fitted to its crossings in all spans, each frame with equal weight."""
-    normal, right = np.diag([1e-6, _RAISED_SD_M**-2.0, _SAG_SD_M**-2.0]), np.zeros(3)
-    right -= normal @ (0.0, place.raised_m, place.sag_m)
-    for sight, found in zip(sights, matches, strict=True):
-        rows = found.rows[found.places == k]
-        if not len(rows):
-            continue
-        appears, terms = predict_across(sight, rows, place)
-        residuals = sight.view.across_m[rows] - appears
-        near = np.abs(residuals) < _NEAR_M
-        rows, terms, residuals = rows[near], terms[near], residuals[near]
-        frames = sight.view.frame[rows]
-        weight = 1 / np.maximum(np.bincount(frames, minlength=len(sight.rows))[frames], 1)
-        weighted = terms * weight[:, np.newaxis] / _LINE_NOISE_M**2
-        normal += weighted.T @ terms
-        right += weighted.T @ residuals
-    step = np.linalg.solve(normal, right)
-    return replace(
-        place,
-        across_m=place.across_m + float(step[0]),
-        raised_m=float(np.clip(place.raised_m + step[1], -6, 6)),
-        sag_m=float(np.clip(place.sag_m + step[2], -3, 6)),
-    )
-
-
-def _centre(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
-    """Move all places along their lines of sight until their mean height is the nominal one.
-
-    Views from one side know heights relative to each other far better than from the camera.
-    """
-    if not places:
-        return []
-    mean_m = float(np.mean([place.raised_m for place in places]))
-    side_m = np.concatenate([one.side_m for one in sights])
-    above_m = np.concatenate([one.above_m.mean(axis=1) for one in sights])
-    slopes = [float(np.nanmedian((place.across_m - side_m) / above_m)) for place in places]
-    return [
-        replace(place, across_m=place.across_m + slope * mean_m, raised_m=place.raised_m - mean_m)
-        for place, slope in zip(places, slopes, strict=True)
-    ]
 
 
 def _merge(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_EVIDENCE = 5
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +106,7 @@ def inspect_cameras(cameras: Sequence[CameraRows], spans: Sequence[Span], rules:
             usable = quality.usable & _before_jumps(camera.frames, findings)
             evidence = gather_evidence(camera, spans, origin, usable, rules)
             judged.append(find_on_spans(camera.channel_id, evidence, origin, rules))
+            findings = [one for one in findings if one.kind != "crossing_line" or not _is_on_span(one, evidence)]
             findings += judged[-1].findings
         counts += count_conductors(camera, evidence, rules)
         anomalies += [
@@ -125,6 +127,12 @@ def _before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> Mask:
     """Return the frames (N,) before any orientation jump, after which the recorded attitude is wrong."""
     jumps = [int(one.rows[-1]) for one in findings if one.kind == "orientation_jump"]
     return np.arange(len(frames)) < min(jumps, default=len(frames))
+
+
+def _is_on_span(found: Finding, evidence: Sequence[SpanEvidence]) -> bool:
+    """Return whether most frames of a finding show a span, whose own rules then apply."""
+    rows = [one.sight.rows[np.isfinite(one.sight.from_m)] for one in evidence]
+    return bool(rows) and bool(np.isin(found.rows, np.concatenate(rows)).mean() > _MOSTLY)
 
 
 def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding, priority: Priority) -> Anomaly:

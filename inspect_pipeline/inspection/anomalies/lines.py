@@ -24,7 +24,7 @@ _MAX_PAUSE_FRAMES = 2
 
 
 def find_crossings(camera: CameraRows, quality: FrameQuality, rules: Rules) -> Iterator[Finding]:
-    """Find tracks at an angle to most of the line length in their frames."""
+    """Find tracks at an angle to most of the line length in their frames: where no span is near."""
     limits, lines = rules.of("crossing_line"), confirmed_lines(camera.lines, rules)
     if not len(lines) or not np.any(lines.track != NO_TRACK):
         return
@@ -35,7 +35,7 @@ def find_crossings(camera: CameraRows, quality: FrameQuality, rules: Rules) -> I
         hits = own & is_crossing
         rows = np.unique(lines.frame[hits])
         is_steady = len(rows) >= limits["min_share"] * (rows[-1] - rows[0] + 1)
-        if len(rows) >= limits["min_frames"] and is_steady and hits.sum() > own.sum() / 2:
+        if len(rows) >= limits["min_track_frames"] and is_steady and hits.sum() > own.sum() / 2:
             angle_deg = float(np.median(across_deg[hits]))
             reason = f"a line at {angle_deg:.0f} degrees to the others, over {len(rows)} frames"
             limit = limits["min_angle_deg"]

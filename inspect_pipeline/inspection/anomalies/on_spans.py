@@ -14,6 +14,7 @@ from inspect_pipeline.inspection.anomalies.conductors import (
     measure_conductors,
     measured_fits,
 )
+from inspect_pipeline.inspection.anomalies.crossings import find_crossings_of_span
 from inspect_pipeline.inspection.anomalies.spans import (
     doubt_rare,
     find_count_changes,
@@ -71,6 +72,7 @@ def find_on_spans(
         moved = moved or list(find_converging(one, conductors, origin, rules))
         known = {number for finding in moved for number in finding.conductors}
         findings += moved
+        findings += find_crossings_of_span(one, origin, rules)
         if expected:
             found = find_count_changes(one, expected, origin, rules)
             findings += [each for each in found if not known.intersection(each.conductors)]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 _TRACK_START_FRAMES = 5  # until all lines of a new view have their tracks
+_MIN_END_SEEN = 0.5  # of the weight of a good view
 _MIN_PRESENT_SHARE = 0.3  # of what is known of a conductor, from which on a span has it
 
 
@@ -107,6 +108,8 @@ def _find_deficits(
         is_at_end = run[0] == 0 or run[-1] == len(known) - 1
         if is_at_end and not _is_end_certain(one, number, bins, rules):
             continue
+        if not _is_end_seen(one, number, bins):
+            continue
         kind = "conductor_lost" if is_at_end else "conductor_gap"
         limit_m = rules.of(kind)["min_length_m"] + one.sight.widened_bins * bin_m
         if length_m < limit_m:
@@ -123,6 +126,17 @@ def _find_deficits(
         yield Finding(
             kind, rows, reason, length_m, limit_m, "m", span_id=span_id, place=place, conductors=(number,)
         )
+
+
+def _is_end_seen(one: SpanEvidence, number: int, bins: Ints) -> bool:
+    """Return whether a frame shows both that a conductor is absent there, and a line of it elsewhere.
+
+    Otherwise frames may all have missed its line.
+    """
+    if one.votes is None:
+        return False
+    in_frame = one.votes.in_frame[:, number]
+    return bool(one.votes.against[in_frame, number][:, bins].sum(axis=0).max(initial=0.0) >= _MIN_END_SEEN)
 
 
 def _close_gaps(mask: Mask, longest: float) -> Mask:

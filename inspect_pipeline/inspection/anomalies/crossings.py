@@ -1,0 +1,153 @@
+"""Rule about lines that cross a span: those that frames show in one place in space.
+
+Lines are projected to planes at several heights. On that of a line across the span, those of all frames
+coincide, whatever their tracks; false lines do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from inspect_pipeline.inspection.anomalies.frames import Finding
+from inspect_pipeline.inspection.rows import find_runs
+from inspect_pipeline.inspection.span_view import visible_gsd_m
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.geometry.local_frame import LocalMetres
+    from inspect_pipeline.inspection.conductors.sight import SpanSight
+    from inspect_pipeline.inspection.rules import Rules
+    from inspect_pipeline.inspection.span_evidence import SpanEvidence
+
+_HEIGHT_STEP_M = 1.5
+_MAX_TURN_DEG, _MAX_AWAY_M, _AWAY_SD = 6.0, 0.7, 1.5  # of two lines that coincide; more by errors of positions
+_MIN_LENGTH_M, _MAX_RANGE_M = 1.0, 80.0
+_MAX_PIECES = 600
+_SHOWN_M = np.array([-2.0, 0.0, 2.0])  # from the middle of a line: points that a frame should show
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Lines across a span on a plane at a height.
+
+    frame (M,), middle (M, 2) in metres along and across, direction (M, 2), track (M,).
+    """
+
+    height_m: float
+    frame: Ints
+    middle: Floats
+    direction: Floats
+    track: Ints
+
+    @property
+    def angle_deg(self) -> Floats:
+        """Angles (M,) to the axis of the span, 0 to 90."""
+        return np.degrees(np.arctan2(*np.abs(self.direction[:, ::-1]).T))
+
+    def take(self, chosen: Ints | Mask) -> _Pieces:
+        return _Pieces(
+            self.height_m,
+            self.frame[chosen],
+            self.middle[chosen],
+            self.direction[chosen],
+            self.track[chosen],
+        )
+
+
+def find_crossings_of_span(one: SpanEvidence, origin: LocalMetres, rules: Rules) -> Iterator[Finding]:
+    """Find the line across a span that most frames show, if those show it that should."""
+    limits = rules.of("crossing_line")
+    heights = np.arange(0.0, one.axis.height_m + _HEIGHT_STEP_M / 2, _HEIGHT_STEP_M)
+    planes = [_project(one.sight, height_m, rules) for height_m in heights.tolist()]
+    found = _most_alike(planes, one.sight.shift_sd_m)
+    if found is None:
+        return
+    hits = np.unique(found.frame)
+    visible, should = _frames_showing(one.sight, found, rules)
+    if len(hits) < limits["min_frames"] or should[hits].sum() < limits["min_share"] * should.sum():
+        return
+    visible[hits] = True
+    visits = [np.intersect1d(run, hits) for run in find_runs(visible, 1)]
+    rows = max(visits, key=len)
+    angle_deg = float(np.median(found.angle_deg))
+    place = one.axis.start + np.median(_on_axis(found)) * one.axis.along
+    lat_deg, lon_deg = origin.to_degrees(place)
+    yield Finding(
+        "crossing_line",
+        np.arange(one.sight.rows[rows[0]], one.sight.rows[rows[-1]] + 1),
+        f"a line at {angle_deg:.0f} degrees across span {one.axis.span_id}, in {len(hits)} frames",
+        angle_deg,
+        limits["min_angle_deg"],
+        "deg",
+        track_id=int(np.bincount(found.track).argmax()),
+        span_id=one.axis.span_id,
+        place=(float(lat_deg), float(lon_deg)),
+    )
+
+
+def _project(sight: SpanSight, height_m: float, rules: Rules) -> _Pieces:
+    """Return the lines across a span on a plane."""
+    lines, axis = sight.lines, sight.axis
+    frame = np.repeat(lines.frame, 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rays = sight.cameras.rays(frame, lines.chords.reshape(-1, 2))
+        reach = (height_m - sight.cameras.positions[frame, 2]) / rays[:, 2]
+        away = reach[:, np.newaxis] * rays[:, :2]
+        away[~((reach > 0) & (np.linalg.norm(away, axis=1) <= _MAX_RANGE_M))] = np.nan
+    ends = np.column_stack((sight.from_m[frame] + away @ axis.along, sight.side_m[frame] + away @ axis.across))
+    begin, end = ends[::2], ends[1::2]
+    runs = end - begin
+    length_m = np.linalg.norm(runs, axis=1)
+    with np.errstate(invalid="ignore"):
+        pieces = _Pieces(height_m, lines.frame, (begin + end) / 2, runs / length_m[:, np.newaxis], lines.track)
+        nearest_m = np.where(begin[:, 1] * end[:, 1] < 0, 0.0, np.abs(ends[:, 1]).reshape(-1, 2).min(axis=1))
+        on_axis = _on_axis(pieces)
+        across = (
+            (length_m >= _MIN_LENGTH_M)
+            & (pieces.angle_deg >= rules.of("crossing_line")["min_angle_deg"])
+            & (nearest_m <= rules.coverage["corridor_half_m"])
+            & (on_axis >= 0)
+            & (on_axis <= axis.length_m)
+        )
+    chosen = np.flatnonzero(across)
+    return pieces.take(chosen[np.argsort(-length_m[chosen], kind="stable")[:_MAX_PIECES]])
+
+
+def _on_axis(pieces: _Pieces) -> Floats:
+    """Return where (M,) lines cross the axis, in metres along it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = pieces.direction[:, 0] / pieces.direction[:, 1]
+    return np.asarray(pieces.middle[:, 0] - slope * pieces.middle[:, 1])
+
+
+def _most_alike(planes: Sequence[_Pieces], shift_sd_m: float) -> _Pieces | None:
+    """Return the most lines that coincide on one of the planes, None without any."""
+    most, best = 0, None
+    for pieces in planes:
+        if not len(pieces.frame):
+            continue
+        turned = np.abs(pieces.direction @ pieces.direction.T)
+        apart = pieces.middle[np.newaxis] - pieces.middle[:, np.newaxis]
+        off_m = np.abs(apart[..., 0] * pieces.direction[:, 1:] - apart[..., 1] * pieces.direction[:, :1])
+        near_m = _MAX_AWAY_M + _AWAY_SD * shift_sd_m
+        alike = (turned >= np.cos(np.radians(_MAX_TURN_DEG))) & (np.maximum(off_m, off_m.T) <= near_m)
+        seed = int(np.argmax(alike.sum(axis=1)))
+        if alike[seed].sum() > most:
+            most, best = int(alike[seed].sum()), pieces.take(alike[seed])
+    return best
+
+
+def _frames_showing(sight: SpanSight, found: _Pieces, rules: Rules) -> tuple[Mask, Mask]:
+    """Return which frames (N,) show any of a found line, and which enough that its line should be found."""
+    doubled = np.exp(2j * np.arctan2(found.direction[:, 1], found.direction[:, 0])).mean()
+    turn = np.angle(doubled) / 2
+    middle = np.median(found.middle, axis=0) + _SHOWN_M[:, np.newaxis] * (np.cos(turn), np.sin(turn))
+    ground = sight.axis.start + middle @ np.stack((sight.axis.along, sight.axis.across))
+    points = np.column_stack((ground, np.full(len(ground), found.height_m)))
+    shown = np.isfinite(visible_gsd_m(sight.cameras, points, rules.anomalies["margin_px"]))
+    return shown.any(axis=1), shown.all(axis=1)

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.inspection.conductors.alignment import align_spans
-from inspect_pipeline.inspection.conductors.layout import find_places
-from inspect_pipeline.inspection.conductors.refine import refine
+from inspect_pipeline.inspection.conductors.placing import find_mixed, place_conductors
 from inspect_pipeline.inspection.conductors.sight import look_at_span
 from inspect_pipeline.inspection.conductors.votes import count_votes
 from inspect_pipeline.inspection.judgement import judge_bins
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.geometry.camera import CameraPoses
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.conductors.layout import Place
+    from inspect_pipeline.inspection.conductors.placing import Placing
     from inspect_pipeline.inspection.conductors.sight import SpanSight
     from inspect_pipeline.inspection.conductors.votes import Votes
     from inspect_pipeline.inspection.rows import CameraRows, LineRows
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_FRAMES = 300  # of a span: more are thinned out, as neighbours show the same
-_NEAR_M = (0.2, 0.1)  # within which the lines of a conductor lie, in frames aligned at first and then better
 _MAX_HIDDEN = 0.5  # of the views of a conductor, which another one spoils
 _MIN_PRESENT = 0.4  # of the votes; with fewer, and too few against it, frames disagree
 PRESENT, ABSENT, UNKNOWN = 1, 0, -1
@@ -97,13 +95,9 @@ def gather_evidence(
             sights.setdefault(span.line_id, []).append(_look(axis, cameras, lines, rules))
     evidence = []
     for group in sights.values():
-        refined, places = align_spans(group), []
-        for near_m in _NEAR_M:
-            places = find_places(refined, near_m)
-            if not places:
-                break
-            refined, places = refine(group, refined, places)
-        evidence += [_judge_span(one, places, (path[known], problems[known]), rules) for one in refined]
+        found = place_conductors(group)
+        near_problems = path[known], problems[known]
+        evidence += [_judge_span(one, found, near_problems, rules) for one in found.sights]
     return evidence
 
 
@@ -130,13 +124,17 @@ def _look(axis: SpanAxis, cameras: CameraPoses, lines: LineRows, rules: Rules) -
 
 
 def _judge_span(
-    sight: SpanSight, places: Sequence[Place], path_problems: tuple[Floats, Ints], rules: Rules
+    sight: SpanSight, found: Placing, path_problems: tuple[Floats, Ints], rules: Rules
 ) -> SpanEvidence:
+    places = found.places
     shape = len(places), len(sight.axis.centres)
     states, votes = np.full(shape, UNKNOWN), None
     if places:
         votes = count_votes(sight, places, rules)
         states = _decide(votes, rules)
+        mixed = find_mixed(found)
+        states[mixed] = UNKNOWN
+        votes.hidden[mixed] = 1.0
     is_judged = (states != UNKNOWN).any(axis=0)
     outcome = judge_bins(sight.axis, is_judged, (sight.shown, sight.coarse), path_problems, rules)
     return SpanEvidence(sight, tuple(places), votes, states, outcome)

@@ -25,7 +25,11 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
 _HEIGHT_STEP_M = 1.5
-_MAX_TURN_DEG, _MAX_AWAY_M, _AWAY_SD = 6.0, 0.7, 1.5  # of two lines that coincide; more by errors of positions
+_MAX_TURN_DEG, _MAX_AWAY_M, _AWAY_SD = (
+    6.0,
+    0.7,
+    1.5,
+)  # of two lines that coincide; more by errors of positions
 _MIN_LENGTH_M, _MAX_RANGE_M = 1.0, 80.0
 _MAX_PIECES = 600
 _SHOWN_M = np.array([-2.0, 0.0, 2.0])  # from the middle of a line: points that a frame should show
@@ -99,12 +103,16 @@ def _project(sight: SpanSight, height_m: float, rules: Rules) -> _Pieces:
         reach = (height_m - sight.cameras.positions[frame, 2]) / rays[:, 2]
         away = reach[:, np.newaxis] * rays[:, :2]
         away[~((reach > 0) & (np.linalg.norm(away, axis=1) <= _MAX_RANGE_M))] = np.nan
-    ends = np.column_stack((sight.from_m[frame] + away @ axis.along, sight.side_m[frame] + away @ axis.across))
+    ends = np.column_stack(
+        (sight.from_m[frame] + away @ axis.along, sight.side_m[frame] + away @ axis.across)
+    )
     begin, end = ends[::2], ends[1::2]
     runs = end - begin
     length_m = np.linalg.norm(runs, axis=1)
     with np.errstate(invalid="ignore"):
-        pieces = _Pieces(height_m, lines.frame, (begin + end) / 2, runs / length_m[:, np.newaxis], lines.track)
+        pieces = _Pieces(
+            height_m, lines.frame, (begin + end) / 2, runs / length_m[:, np.newaxis], lines.track
+        )
         nearest_m = np.where(begin[:, 1] * end[:, 1] < 0, 0.0, np.abs(ends[:, 1]).reshape(-1, 2).min(axis=1))
         on_axis = _on_axis(pieces)
         across = (

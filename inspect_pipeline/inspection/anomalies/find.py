@@ -106,7 +106,9 @@ def inspect_cameras(cameras: Sequence[CameraRows], spans: Sequence[Span], rules:
             usable = quality.usable & _before_jumps(camera.frames, findings)
             evidence = gather_evidence(camera, spans, origin, usable, rules)
             judged.append(find_on_spans(camera.channel_id, evidence, origin, rules))
-            findings = [one for one in findings if one.kind != "crossing_line" or not _is_on_span(one, evidence)]
+            findings = [
+                one for one in findings if one.kind != "crossing_line" or not _is_on_span(one, evidence)
+            ]
             findings += judged[-1].findings
         counts += count_conductors(camera, evidence, rules)
         anomalies += [

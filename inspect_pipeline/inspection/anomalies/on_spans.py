@@ -15,6 +15,7 @@ from inspect_pipeline.inspection.anomalies.conductors import (
     measured_fits,
 )
 from inspect_pipeline.inspection.anomalies.crossings import find_crossings_of_span
+from inspect_pipeline.inspection.anomalies.hidden import hides_none
 from inspect_pipeline.inspection.anomalies.spans import (
     doubt_rare,
     find_count_changes,
@@ -91,7 +92,7 @@ def _outcomes(
     if len(inner):
         shares = shares[np.clip(np.arange(len(shares)), inner[0], inner[-1])]
     counted = shares
-    if len(one.places) < expected and not len(missing_conductors(one, rules)):
+    if len(one.places) < expected and not len(missing_conductors(one, rules)) and not hides_none(one, rules):
         # One that no span shows: missing everywhere, or always behind another.
         counted = _move(shares, JUDGED, ALIGNED)
     has_sag = np.full(len(shares), len(measured_fits(conductors, rules)) / max(len(one.places), expected, 1))

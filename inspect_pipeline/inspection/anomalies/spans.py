@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.inspection.anomalies.frames import Finding
+from inspect_pipeline.inspection.anomalies.hidden import hides_none
 from inspect_pipeline.inspection.rows import find_runs
 from inspect_pipeline.inspection.span_evidence import ABSENT, PRESENT, UNKNOWN
 
@@ -84,6 +85,8 @@ def find_count_changes(
     if len(missing) and n_left < expected:
         bins = np.flatnonzero((one.states[missing] == ABSENT).any(axis=0))
         yield _count_finding(one, bins, n_left, expected, origin)
+    elif not len(missing) and n_left < expected and len(known) and hides_none(one, rules):
+        yield _count_finding(one, known, n_left, expected, origin)
     elif len(known):
         n_present = one.is_present[:, known].sum(axis=0)
         is_more = n_present > expected

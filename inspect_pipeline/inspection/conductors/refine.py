@@ -30,6 +30,7 @@ _LEAST_SD = np.array([0.1, 0.003, 0.01, 0.0003, 0.0003])
 _MOST_SD = np.array([2.0, 0.05, 0.15, 0.003, 0.003])
 _MEDIAN_TO_SD = 1.4826
 _NEAR_M, _NEAR_SD = 0.5, 4.0  # of where a conductor appears: lines farther away belong to one that was moved
+_EXPLAINED_M = 0.15
 _SAME_M, _MIN_TOGETHER = 0.6, 0.3  # nearer places are two only where frames have lines of both
 
 
@@ -88,6 +89,17 @@ def _with_noise(sight: SpanSight, places: Sequence[Place], shift_sd_m: float) ->
     away = np.abs(_residuals(sight, found, places))
     noise_m = _MEDIAN_TO_SD * float(np.median(away)) if len(away) else sight.noise_m
     return replace(sight, noise_m=noise_m, shift_sd_m=shift_sd_m)
+
+
+def share_explained(sights: Sequence[SpanSight], places: Sequence[Place]) -> float:
+    """Return the share of crossings that are near where the conductor of their line appears."""
+    n_all, n_near = 0, 0
+    for sight in sights:
+        found = _match(sight, places) if places else None
+        n_all += int(sight.fine[sight.view.frame, sight.view.bin].sum())
+        if found:
+            n_near += int(np.count_nonzero(np.abs(_residuals(sight, found, places)) <= _EXPLAINED_M))
+    return n_near / max(n_all, 1)
 
 
 def _match(sight: SpanSight, places: Sequence[Place]) -> _Matches:
@@ -159,7 +171,8 @@ def _solve(
         gains.append(gain)
     step = np.linalg.solve(normal, right)
     better = [
-        known + gain[:, :, -1] - gain[:, :, :-1] @ step for known, gain in zip(corrections, gains, strict=True)
+        known + gain[:, :, -1] - gain[:, :, :-1] @ step
+        for known, gain in zip(corrections, gains, strict=True)
     ]
     return better, [Place(*three) for three in (now + step.reshape(-1, 3)).tolist()]
 
@@ -223,7 +236,7 @@ def _apply(sight: SpanSight, corrections: Floats) -> SpanSight:
 
 def _merge(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
     """Drop each place near another one that has more lines, where frames do not show lines of both."""
-    present = [_frames_with(one, places) for one in sights]
+    present = [frames_with(one, places) for one in sights]
     has = np.concatenate(present) if present else np.zeros((0, len(places)), bool)
     kept: list[int] = []
     for k in np.argsort(-has.sum(axis=0), kind="stable").tolist():
@@ -234,7 +247,7 @@ def _merge(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
     return sorted((places[k] for k in kept), key=lambda place: place.across_m)
 
 
-def _frames_with(sight: SpanSight, places: Sequence[Place]) -> np.ndarray:
+def frames_with(sight: SpanSight, places: Sequence[Place]) -> np.ndarray:
     """Return which frames have a line of which conductor (N, K)."""
     owner = assign_lines(sight, places)
     has = np.zeros((len(sight.rows), len(places)), bool)

@@ -200,6 +200,12 @@ def _are_isolated(appears: Floats, scale_px: Floats, least_px: Floats) -> Mask:
     return isolated
 
 
+def apart_px(sight: SpanSight, first: Place, second: Place) -> Floats:
+    """Return how far two conductors appear from each other (N, B), in pixels."""
+    appears = _appear(sight, (first, second))
+    return np.asarray(np.abs(appears[:, 0] - appears[:, 1]) * sight.scale_px)
+
+
 def _share_found(in_frame: Mask, judged: Mask) -> Floats:
     """Return which share (N,) of the conductors that a frame can judge it has."""
     can_judge = judged.any(axis=2)

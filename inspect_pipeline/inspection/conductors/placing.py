@@ -1,0 +1,80 @@
+"""Find the conductors of spans in space: by frames aligned as patterns, or as recorded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from inspect_pipeline.inspection.conductors.alignment import align_spans
+from inspect_pipeline.inspection.conductors.layout import find_places
+from inspect_pipeline.inspection.conductors.refine import frames_with, refine, share_explained
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from inspect_pipeline.arrays import Mask
+    from inspect_pipeline.inspection.conductors.layout import Place
+    from inspect_pipeline.inspection.conductors.sight import SpanSight
+
+# Within which the lines of a conductor lie, from frames that are aligned roughly to those aligned well.
+_NEAR_M = (0.2, 0.1)
+_NEAR_RAW_M = (0.5, 0.25, 0.1)
+_MAX_MIXED_M, _MIN_TOGETHER = 3.0, 0.3
+_ENOUGH = 0.85  # of the crossings that a good alignment explains
+
+
+class Placing(NamedTuple):
+    """Sights of spans with the same structures, aligned to each other, and the places of their conductors."""
+
+    sights: list[SpanSight]
+    places: list[Place]
+
+
+def place_conductors(raw: Sequence[SpanSight]) -> Placing:
+    """Return the sights of spans with the same structures, aligned, and the places of their conductors.
+
+    From one side, conductors form a pattern that errors of poses shift and scale. From all sides they do not:
+    then frames are taken as recorded at first. What explains more lines is right.
+    """
+    if not any(len(one.view.across_m) for one in raw):
+        return Placing(list(raw), [])
+    aligned = _place(raw, align_spans(raw), _NEAR_M)
+    explained = _explained(aligned)
+    if explained >= _ENOUGH:
+        return aligned
+    recorded = _place(raw, raw, _NEAR_RAW_M)
+    return recorded if _explained(recorded) > explained else aligned
+
+
+def _place(raw: Sequence[SpanSight], first: Sequence[SpanSight], near_m: Sequence[float]) -> Placing:
+    """Find places and align frames in turns, more and more closely."""
+    found = Placing(list(first), [])
+    for each_m in near_m:
+        places = find_places(found.sights, each_m)
+        if not places:
+            return Placing(found.sights, [])
+        found = Placing(*refine(raw, found.sights, places))
+    return found
+
+
+def find_mixed(found: Placing) -> Mask:
+    """Return which conductors (K,) are mixed up with their neighbours.
+
+    Where some frames are aligned wrongly, by the distance of two wires of a bundle, there is one place more
+    than conductors, and no frame has lines at both of its ends.
+    """
+    has = np.concatenate([frames_with(one, found.places) for one in found.sights])
+    mixed = np.zeros(len(found.places), bool)
+    order = np.argsort([place.across_m for place in found.places])
+    for i, first in enumerate(order.tolist()):
+        for j, second in enumerate(order[i + 1 :].tolist(), start=i + 1):
+            near = found.places[second].across_m - found.places[first].across_m <= _MAX_MIXED_M
+            least = min(has[:, first].sum(), has[:, second].sum())
+            if near and np.count_nonzero(has[:, first] & has[:, second]) < _MIN_TOGETHER * least:
+                mixed[order[i : j + 1]] = True
+    return mixed
+
+
+def _explained(found: Placing) -> float:
+    return share_explained(found.sights, found.places)

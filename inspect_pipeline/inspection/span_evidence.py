@@ -43,6 +43,7 @@ class SpanEvidence:
 
     places: where they hang, alike on all spans. states (K, B): PRESENT, ABSENT or UNKNOWN.
     votes: None without any place. outcome (B,): what is in the way of judging a bin at all, see `judgement`.
+    explained: share of what lines show along the spans of the line that the conductors explain.
     """
 
     sight: SpanSight
@@ -50,6 +51,7 @@ class SpanEvidence:
     votes: Votes | None
     states: Ints
     outcome: Ints
+    explained: float
 
     @property
     def axis(self) -> SpanAxis:
@@ -137,7 +139,7 @@ def _judge_span(
         votes.hidden[mixed] = 1.0
     is_judged = (states != UNKNOWN).any(axis=0)
     outcome = judge_bins(sight.axis, is_judged, (sight.shown, sight.coarse), path_problems, rules)
-    return SpanEvidence(sight, tuple(places), votes, states, outcome)
+    return SpanEvidence(sight, tuple(places), votes, states, outcome, found.explained)
 
 
 def _decide(votes: Votes, rules: Rules) -> Ints:

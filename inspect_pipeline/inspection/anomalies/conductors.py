@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
 _MIN_APART = 2.0  # times aligned_px: nearer conductors are not compared
+_MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part
 _MEDIAN_TO_SD = 1.4826
 _MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
 MIN_SAGS = 3  # conductors whose sag is compared
@@ -62,14 +63,23 @@ def measure_conductors(one: SpanEvidence, rules: Rules) -> list[SpanConductor]:
         own = np.flatnonzero((owner == number) & fine)
         if not len(own):
             continue
-        visible_m = len(np.unique(view.bin[own])) * axis.bin_m
-        is_enough = visible_m >= rules.of("sag_change")["min_share"] * axis.length_m
-        fit = fit_conductor(sight, own, place) if is_enough else None
+        fit = (
+            fit_conductor(sight, own, place)
+            if _shows_sag(one, number, np.unique(view.bin[own]), rules)
+            else None
+        )
         keys, once = np.unique(view.frame[own] * len(axis.centres) + view.bin[own], return_index=True)
         tracks, counts = np.unique(sight.lines.track[view.line[own]], return_counts=True)
         track = int(tracks[np.argmax(counts)])
         conductors.append(SpanConductor(number, track, keys, view.across_m[own][once], fit))
     return conductors
+
+
+def _shows_sag(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
+    """Return whether a conductor is visible and judged along enough of a span, and from low to high on it."""
+    parabola, least_m = one.sight.parabola[bins], rules.of("sag_change")["min_share"] * one.axis.length_m
+    is_visible = len(bins) * one.axis.bin_m >= least_m and np.ptp(parabola) >= _MIN_SAG_SHOWN
+    return bool(is_visible and one.is_judged[number, bins].mean() >= _MIN_JUDGED)
 
 
 def _distances_m(first: SpanConductor, second: SpanConductor, one: SpanEvidence, rules: Rules) -> Floats:

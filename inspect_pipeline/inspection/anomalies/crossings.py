@@ -29,7 +29,7 @@ _MAX_TURN_DEG, _MAX_AWAY_M, _AWAY_SD = (
     6.0,
     0.7,
     1.5,
-)  # of two lines that coincide; more by errors of positions
+)  # of two that coincide; more by errors of positions
 _MIN_LENGTH_M, _MAX_RANGE_M = 1.0, 80.0
 _MAX_PIECES = 600
 _SHOWN_M = np.array([-2.0, 0.0, 2.0])  # from the middle of a line: points that a frame should show
@@ -51,7 +51,7 @@ class _Pieces:
     @property
     def angle_deg(self) -> Floats:
         """Angles (M,) to the axis of the span, 0 to 90."""
-        return np.degrees(np.arctan2(*np.abs(self.direction[:, ::-1]).T))
+        return np.asarray(np.degrees(np.arctan2(*np.abs(self.direction[:, ::-1]).T)))
 
     def take(self, chosen: Ints | Mask) -> _Pieces:
         return _Pieces(
@@ -158,4 +158,4 @@ def _frames_showing(sight: SpanSight, found: _Pieces, rules: Rules) -> tuple[Mas
     ground = sight.axis.start + middle @ np.stack((sight.axis.along, sight.axis.across))
     points = np.column_stack((ground, np.full(len(ground), found.height_m)))
     shown = np.isfinite(visible_gsd_m(sight.cameras, points, rules.anomalies["margin_px"]))
-    return shown.any(axis=1), shown.all(axis=1)
+    return np.asarray(shown.any(axis=1)), np.asarray(shown.all(axis=1))

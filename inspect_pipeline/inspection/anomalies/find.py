@@ -132,7 +132,9 @@ def _before_jumps(frames: FrameRows, findings: Sequence[Finding]) -> Mask:
 
 
 def _is_on_span(found: Finding, evidence: Sequence[SpanEvidence]) -> bool:
-    """Return whether most frames of a finding show a span, whose own rules then apply."""
+    """Return whether most frames of a crossing line show a span, whose own rule then applies."""
+    if found.kind != "crossing_line":
+        return False
     rows = [one.sight.rows[np.isfinite(one.sight.from_m)] for one in evidence]
     return bool(rows) and bool(np.isin(found.rows, np.concatenate(rows)).mean() > _MOSTLY)
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _MIN_PLACES = 2
 _MAX_SHIFT_SD_M = 0.3  # of positions: greater errors look like parallax
+_MIN_EXPLAINED = 0.95  # of what lines show: what is left may be a conductor without a place
 _MIN_SHARE = 0.8  # of the metres in view, along which a hidden conductor would have been seen
 
 
@@ -25,9 +26,10 @@ def hides_none(one: SpanEvidence, rules: Rules) -> bool:
     other: it would have been seen beside that one in enough frames.
     """
     places, sight = one.places, one.sight
-    if one.votes is None or len(places) < _MIN_PLACES or sight.shift_sd_m > _MAX_SHIFT_SD_M:
-        return False
     in_view = sight.fine.any(axis=0)
+    is_exact = sight.shift_sd_m <= _MAX_SHIFT_SD_M and one.explained >= _MIN_EXPLAINED
+    if one.votes is None or len(places) < _MIN_PLACES or not is_exact or not in_view.any():
+        return False
     supposed = [other for place in places for other in _behind(one, place, _least_distance_m(places))]
     return all(
         np.mean(_times_seen(one, place, other, rules)[in_view] >= rules.anomalies["min_support"])

@@ -7,28 +7,31 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from inspect_pipeline.inspection.conductors.alignment import align_spans
-from inspect_pipeline.inspection.conductors.layout import find_places
+from inspect_pipeline.inspection.conductors.layout import Place, find_places
 from inspect_pipeline.inspection.conductors.refine import frames_with, refine, share_explained
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from inspect_pipeline.arrays import Mask
-    from inspect_pipeline.inspection.conductors.layout import Place
     from inspect_pipeline.inspection.conductors.sight import SpanSight
 
 # Within which the lines of a conductor lie, from frames that are aligned roughly to those aligned well.
 _NEAR_M = (0.2, 0.1)
 _NEAR_RAW_M = (0.5, 0.25, 0.1)
 _MAX_MIXED_M, _MIN_TOGETHER = 3.0, 0.3
-_ENOUGH = 0.85  # of the crossings that a good alignment explains
+_LEAST, _ENOUGH = 0.75, 0.85  # of the crossings that an alignment explains: else it is wrong; if it is good
 
 
 class Placing(NamedTuple):
-    """Sights of spans with the same structures, aligned to each other, and the places of their conductors."""
+    """Sights of spans with the same structures, aligned to each other, and the places of their conductors.
+
+    explained: share of what lines show along the spans that these conductors explain.
+    """
 
     sights: list[SpanSight]
     places: list[Place]
+    explained: float
 
 
 def place_conductors(raw: Sequence[SpanSight]) -> Placing:
@@ -38,32 +41,32 @@ def place_conductors(raw: Sequence[SpanSight]) -> Placing:
     then frames are taken as recorded at first. What explains more lines is right.
     """
     if not any(len(one.view.across_m) for one in raw):
-        return Placing(list(raw), [])
+        return Placing(list(raw), [], 0.0)
     aligned = _place(raw, align_spans(raw), _NEAR_M)
-    explained = _explained(aligned)
-    if explained >= _ENOUGH:
+    if aligned.explained >= _ENOUGH:
         return aligned
-    recorded = _place(raw, raw, _NEAR_RAW_M)
-    return recorded if _explained(recorded) > explained else aligned
+    return max(aligned, _place(raw, raw, _NEAR_RAW_M), key=lambda found: found.explained)
 
 
 def _place(raw: Sequence[SpanSight], first: Sequence[SpanSight], near_m: Sequence[float]) -> Placing:
     """Find places and align frames in turns, more and more closely."""
-    found = Placing(list(first), [])
+    sights, places = list(first), list[Place]()
     for each_m in near_m:
-        places = find_places(found.sights, each_m)
+        places = find_places(sights, each_m)
         if not places:
-            return Placing(found.sights, [])
-        found = Placing(*refine(raw, found.sights, places))
-    return found
+            break
+        sights, places = refine(raw, sights, places)
+    return Placing(sights, places, share_explained(sights, places))
 
 
 def find_mixed(found: Placing) -> Mask:
     """Return which conductors (K,) are mixed up with their neighbours.
 
     Where some frames are aligned wrongly, by the distance of two wires of a bundle, there is one place more
-    than conductors, and no frame has lines at both of its ends.
+    than conductors, and no frame has lines at both of its ends. Where much is not explained, all may be.
     """
+    if found.explained < _LEAST:
+        return np.ones(len(found.places), bool)
     has = np.concatenate([frames_with(one, found.places) for one in found.sights])
     mixed = np.zeros(len(found.places), bool)
     order = np.argsort([place.across_m for place in found.places])
@@ -74,7 +77,3 @@ def find_mixed(found: Placing) -> Mask:
             if near and np.count_nonzero(has[:, first] & has[:, second]) < _MIN_TOGETHER * least:
                 mixed[order[i : j + 1]] = True
     return mixed
-
-
-def _explained(found: Placing) -> float:
-    return share_explained(found.sights, found.places)

@@ -7,7 +7,7 @@ A folder is a set as `lsnet-pipe model eval` takes it, a folder of `images` with
 the lowest score to report, within 1 px of cables with contours and 3 px of others. The other runtimes are
 held against the first: the exit code is 1 if one has an F, or a share of images without wires that have no
 line, that is lower by more than 0.005. `out of reach` counts the lines that would be reported too if every
-proposal were looked at (`lsnet.lines.score.MAX_RAISE`). The last line is one JSON object.
+proposal were looked at (`lsnet.lines.score.MAX_LEARNED`). The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def any_flat(folder: Path) -> bool:
 def found_in(detector: Detector, image: ImageArray) -> tuple[Lines, int]:
     """Return the lines in an image, and how many more there are if every proposal is looked at."""
     lines = detector.detect([image])[0].lines
-    with patch("lsnet.lines.score.MAX_RAISE", np.inf):
+    with patch("lsnet.lines.score.MAX_LEARNED", np.inf):
         return lines, len(detector.detect([image])[0].lines) - len(lines)
 
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.errors import AmbiguousIdError, UnknownIdError
 from inspect_pipeline.index.reading import select
-from inspect_pipeline.store.feedback import load_reviews
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,11 +26,9 @@ ORDER BY start_ns, anomaly_id
 def list_anomalies(store: Store, flight_ids: Sequence[str]) -> list[dict[str, Any]]:
     """Return the anomalies of flights (of all, if none is given) by time, as in `reviewed_anomalies`.
 
-    `reviewed_by` is added: who reviewed it, or None. Raises StoreError.
+    Raises StoreError.
     """
-    reviewers = {review.anomaly_id: review.reviewed_by for review in load_reviews(store)}
-    rows = select(store, _LIST, [list(flight_ids), list(flight_ids)])
-    return [{**row, "reviewed_by": reviewers.get(row["anomaly_id"])} for row in rows]
+    return select(store, _LIST, [list(flight_ids), list(flight_ids)])
 
 
 def find_anomaly(store: Store, beginning: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from inspect_pipeline.index.named_queries import find_query
-from inspect_pipeline.index.reading import select
+from inspect_pipeline.index.reading import open_index
 
 if TYPE_CHECKING:
     from inspect_pipeline.store.store import Store
@@ -30,5 +30,6 @@ class FlightComparison:
 def compare_flights(store: Store, before: str, after: str) -> FlightComparison:
     """Return what changed from one flight to another, by their ids; raises StoreError."""
     statement = find_query("compare").with_values({"before": before, "after": after})
-    (compared,) = select(store, _COMPARED, [before, after])
-    return FlightComparison(select(store, statement), compared["n"])
+    with open_index(store) as index:
+        (compared,) = index.select(_COMPARED, [before, after])
+        return FlightComparison(index.select(statement), compared["n"])

@@ -53,7 +53,8 @@ def refresh(connection: duckdb.DuckDBPyConnection, store: Store, changed: Sequen
     is_other = any(known.get(name) != digests[name] for name in ("program", "rules", "spans.geojson"))
     spans, rules = load_spans(store), load_store_rules(store)
     _insert_user_input(connection, store, spans, digests)
-    stale = _all_flights(connection) if is_other else list(changed)
+    every = connection.execute("SELECT flight_id FROM flights").fetchall() if is_other else ()
+    stale = [flight_id for (flight_id,) in every] or list(changed)
     gone = "flight_id NOT IN (SELECT flight_id FROM flights) OR flight_id IN (SELECT unnest(?))"
     for table in DERIVED_TABLES if known else ():  # a new index has no rows
         connection.execute(f"DELETE FROM {table} WHERE {gone}", [stale])
@@ -87,10 +88,6 @@ def inspect_flights(
         numbers = measure_coverage(cameras, spans, rules).numbers
         coverage += [own | asdict(one) | {"share": one.share} for one in numbers if one.channel_id is None]
     return Inspected(anomalies, coverage, judgements)
-
-
-def _all_flights(connection: duckdb.DuckDBPyConnection) -> list[str]:
-    return [flight_id for (flight_id,) in connection.execute("SELECT flight_id FROM flights").fetchall()]
 
 
 def _insert_user_input(

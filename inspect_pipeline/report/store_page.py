@@ -14,11 +14,9 @@ from inspect_pipeline.report.page import render, write_page
 from inspect_pipeline.store.images import source_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from inspect_pipeline.report.data import Row
-    from inspect_pipeline.report.map import FlightMap
     from inspect_pipeline.store.store import Store
 
 FOLDER, INDEX = "reports", "index.html"  # in the store
@@ -86,14 +84,15 @@ def render_store(store: Store, links: Mapping[str, str]) -> str:
         span_targets=targets,
         seen_share=sum(row["covered_m"] for row in spans) / length_m if length_m else None,
         findings=findings,
-        map=_draw(spans, select(store, _STRETCHES), findings[:_MAX_MARKS], targets),
+        map=draw_map(
+            spans=spans,
+            stretches=select(store, _STRETCHES),
+            frames=[],
+            gaps=[],
+            anomalies=findings[:_MAX_MARKS],
+            targets=targets,
+        ),
     )
-
-
-def _draw(
-    spans: Sequence[Row], stretches: Sequence[Row], findings: Sequence[Row], targets: Mapping[str, str]
-) -> FlightMap | None:
-    return draw_map(spans=spans, stretches=stretches, frames=[], gaps=[], anomalies=findings, targets=targets)
 
 
 def write_reports(store: Store, on_page: Callable[[], None] = lambda: None) -> int:

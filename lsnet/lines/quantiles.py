@@ -25,8 +25,9 @@ def row_quantiles(values: RealArray, shares: Sequence[float]) -> RealArray:
 def group_quantiles(values: RealArray, first: Indices, shares: Sequence[float]) -> Floats:
     """Return (C, Q) quantiles of groups of the values (M,): group k from first[k] to first[k + 1]."""
     counts = np.diff(first)
+    span = 1 + values.max(initial=0) - values.min(initial=0)
     # Each group is moved above the one before, so that one sort does for all.
-    shift = np.repeat(np.arange(len(counts)) * (np.ptp(values) + 1), counts)
+    shift = np.repeat(np.arange(len(counts)) * span, counts)
     ordered = np.sort(values + shift) - shift
     at = np.array(shares) * (counts[:, None] - 1)
     below = at.astype(np.intp)

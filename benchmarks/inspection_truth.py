@@ -136,10 +136,12 @@ def is_judged(plan: FlightPlan, truth: FlightTruth, fault: FaultTruth, rows: dic
     in_view = truth.span_coverage[fault.span_id]
     if not own or own[0]["judged_m"] < own[0]["length_m"] * in_view / 2:
         return False
-    if kind not in {"conductor_count", "conductor_lost", "conductor_gap"}:
+    if kind == "conductors_converging":
         return True
     matched = _match_conductors(plan, [row for row in rows["conductors"] if row["span_id"] == fault.span_id])
     row = matched.get(fault.conductor_ids[0])
+    if kind == "sag_change":
+        return row is not None and row["sag_m"] is not None
     return row is not None and row["judged_m"] >= own[0]["judged_m"] / 2
 
 

@@ -30,7 +30,8 @@ _LEAST_SD = np.array([0.1, 0.003, 0.01, 0.0003, 0.0003])
 _MOST_SD = np.array([2.0, 0.05, 0.15, 0.003, 0.003])
 _MEDIAN_TO_SD = 1.4826
 _NEAR_M, _NEAR_SD = 0.5, 4.0  # of where a conductor appears: lines farther away belong to one that was moved
-_EXPLAINED_M = 0.15
+_EXPLAINED_M, _EXPLAINED_PX = 0.15, 5.0
+_MIN_FRAMES_SHARE = 0.35  # of a span, in which a conductor is found that the span has
 _SAME_M, _MIN_TOGETHER = 0.6, 0.3  # nearer places are two only where frames have lines of both
 
 
@@ -59,6 +60,7 @@ def refine(
         sd = _usual_sd(corrections)
         sights = [_apply(one, found) for one, found in zip(raw, corrections, strict=True)]
         places = _merge(places, sights)
+    places = _drop_rare(places, sights)
     return [_with_noise(one, places, float(sd[0])) for one in sights], places
 
 
@@ -98,7 +100,9 @@ def share_explained(sights: Sequence[SpanSight], places: Sequence[Place]) -> flo
         found = _match(sight, places) if places else None
         n_all += int(sight.fine[sight.view.frame, sight.view.bin].sum())
         if found:
-            n_near += int(np.count_nonzero(np.abs(_residuals(sight, found, places)) <= _EXPLAINED_M))
+            scale_px = sight.scale_px[sight.view.frame[found.rows], sight.view.bin[found.rows]]
+            near_m = np.hypot(_EXPLAINED_M, _EXPLAINED_PX / scale_px)
+            n_near += int(np.count_nonzero(np.abs(_residuals(sight, found, places)) <= near_m))
     return n_near / max(n_all, 1)
 
 
@@ -245,6 +249,14 @@ def _merge(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
         if has[:, k].any() and all(n >= _MIN_TOGETHER * has[:, k].sum() for n in together):
             kept.append(k)
     return sorted((places[k] for k in kept), key=lambda place: place.across_m)
+
+
+def _drop_rare(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
+    """Drop places that less than half of the spans have: there, a conductor hangs elsewhere than usual."""
+    shown = [one for one in sights if one.fine.any()]
+    shares = np.array([frames_with(one, places).sum(axis=0) / one.fine.any(axis=1).sum() for one in shown])
+    has = (shares.reshape(len(shown), len(places)) >= _MIN_FRAMES_SHARE).sum(axis=0)
+    return [place for place, n_spans in zip(places, has.tolist(), strict=True) if 2 * n_spans >= len(shown)]
 
 
 def frames_with(sight: SpanSight, places: Sequence[Place]) -> np.ndarray:

@@ -142,7 +142,9 @@ def is_judged(plan: FlightPlan, truth: FlightTruth, fault: FaultTruth, rows: dic
     row = matched.get(fault.conductor_ids[0])
     if kind == "sag_change":
         return row is not None and row["sag_m"] is not None
-    return row is not None and row["judged_m"] >= own[0]["judged_m"] / 2
+    if row is None:
+        return kind == "conductor_count"  # the index judged the number without a place of the missing one
+    return row["judged_m"] >= own[0]["judged_m"] / 2
 
 
 def _match_conductors(plan: FlightPlan, rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -79,7 +79,7 @@ def test_process_reaches_the_options(run: Callable[..., Outcome], tmp_path: Path
     assert config["detector"] | {"weights": "w", "scale": 0.5, "min_score": 0.25} == config["detector"]
 
 
-def test_process_goes_on_past_a_bad_recording(run: Callable[..., Outcome], tmp_path: Path) -> None:
+def test_process_continues_after_a_bad_recording(run: Callable[..., Outcome], tmp_path: Path) -> None:
     (tmp_path / "bad.mcap").write_bytes(b"no recording")
     make_recording(tmp_path / "good.mcap", shots(2))
     outcome = run("process", "bad.mcap", "good.mcap", "--json")
@@ -88,7 +88,7 @@ def test_process_goes_on_past_a_bad_recording(run: Callable[..., Outcome], tmp_p
     assert run("query", "SELECT count(*) AS n FROM flights", "--format", "csv").out.split() == ["n", "1"]
 
 
-def test_process_goes_on_past_a_recording_that_vanishes(
+def test_process_continues_after_a_recording_that_vanishes(
     run: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("a", "b"):

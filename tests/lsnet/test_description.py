@@ -29,7 +29,7 @@ def test_a_description_is_that_of_the_detector(tmp_path: Path, options: dict[str
     assert described == Detector.load(tmp_path / "w.safetensors", **options).describe()
 
 
-def test_what_only_loading_can_tell(tmp_path: Path) -> None:
+def test_what_only_loading_can_say(tmp_path: Path) -> None:
     (tmp_path / "bad.safetensors").write_bytes(b"\xff" * 100)
     assert describe_detector(tmp_path / "bad.safetensors") is None
     assert describe_detector(tmp_path / "none.safetensors") is None

@@ -219,7 +219,7 @@ def test_what_stands_on_a_lost_picture_of_h264_is_bad(
 
 
 @given(st.binary(max_size=300), st.sampled_from([b"\x67", b"\x41", b"\x65"]), st.binary(max_size=40))
-def test_damaged_heads_of_h264_tell_nothing(before: bytes, head: bytes, data: bytes) -> None:
+def test_damaged_heads_of_h264_say_nothing(before: bytes, head: bytes, data: bytes) -> None:
     """Whatever they hold: no exception, no time, no memory."""
     finder = GapFinder()
     finder.is_after_gap(b"\0\0\1\x67\x42\xc0\x1e\xd9" + before)

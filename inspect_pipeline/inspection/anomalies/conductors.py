@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
 _MIN_APART = 2.0  # times aligned_px: nearer conductors are not compared
-_MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part
+_MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part in metres
 _MEDIAN_TO_SD = 1.4826
 _MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
 MIN_SAGS = 3  # conductors whose sag is compared
@@ -119,15 +119,22 @@ def find_converging(
     one: SpanEvidence, conductors: Sequence[SpanConductor], origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
     """Find the two conductors that come closest relative to their usual distance."""
+    told_apart = [each for each in conductors if _is_judged(one, each)]
     found = [
         _to_finding(one, approach, (first, second), origin)
-        for i, first in enumerate(conductors)
-        for second in conductors[i + 1 :]
+        for i, first in enumerate(told_apart)
+        for second in told_apart[i + 1 :]
         for approach in _approaches(_distances_m(first, second, one, rules), one, rules)
     ]
     # A conductor that moves towards its neighbour also approaches those behind it.
     if found:
         yield max(found, key=lambda one: one.threshold - one.value)
+
+
+def _is_judged(one: SpanEvidence, conductor: SpanConductor) -> bool:
+    """Return whether a conductor is judged along most of where lines of it are."""
+    bins = np.unique(conductor.keys % len(one.axis.centres))
+    return bool(one.is_judged[conductor.number, bins].mean() >= _MIN_JUDGED)
 
 
 class _Approach(NamedTuple):
@@ -222,7 +229,7 @@ def compared_share(one: SpanEvidence, conductors: Sequence[SpanConductor], rules
     """Return the share (B,) of neighbouring conductors whose distance is known along a stretch."""
     n_bins, limits = len(one.axis.centres), rules.of("conductors_converging")
     compared = np.zeros(n_bins)
-    for first, second in pairwise(conductors):
+    for first, second in pairwise(each for each in conductors if _is_judged(one, each)):
         apart_m = _distances_m(first, second, one, rules)
         for known in _smooth_runs(apart_m, limits["max_slope"] * one.axis.bin_m):
             if len(known) * one.axis.bin_m >= 2 * limits["min_length_m"]:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
+_EXACT_SD_M = 0.3  # of positions; greater errors mix up conductors
 _HIDDEN_SHARE = 0.5  # of the views of a bin, from which on its conductor is hidden by another
 
 
@@ -70,7 +71,8 @@ def find_on_spans(
         conductors = measure_conductors(one, rules)
         # One that sags may also appear closer to a neighbour, and missing where it was: report it once.
         moved = list(find_sag_changes(one, conductors, origin, rules))
-        moved = moved or list(find_converging(one, conductors, origin, rules))
+        if not moved and _are_all_placed(one, expected):
+            moved = list(find_converging(one, conductors, origin, rules))
         known = {number for finding in moved for number in finding.conductors}
         findings += moved
         findings += find_crossings_of_span(one, origin, rules)
@@ -81,6 +83,11 @@ def find_on_spans(
         fits = {each.number: each.fit for each in conductors}
         rows += conductor_rows(channel_id, one, [fits.get(k) for k in range(len(one.places))])
     return ConductorFindings(findings, outcomes, rows)
+
+
+def _are_all_placed(one: SpanEvidence, expected: int) -> bool:
+    """Return whether lines are those of the known conductors: with errors of poses, another mixes with them."""
+    return one.sight.shift_sd_m <= _EXACT_SD_M or len(one.places) == expected
 
 
 def _outcomes(
@@ -95,6 +102,7 @@ def _outcomes(
     if len(one.places) < expected and not len(missing_conductors(one, rules)) and not hides_none(one, rules):
         # One that no span shows: missing everywhere, or always behind another.
         counted = _move(shares, JUDGED, ALIGNED)
+    compared = compared_share(one, conductors, rules) * _are_all_placed(one, expected)
     has_sag = np.full(len(shares), len(measured_fits(conductors, rules)) / max(len(one.places), expected, 1))
     return SpanOutcomes(
         one.axis,
@@ -103,7 +111,7 @@ def _outcomes(
             "conductor_lost": shares,
             "conductor_gap": shares,
             "sag_change": _measured(shares, has_sag),
-            "conductors_converging": _measured(shares, compared_share(one, conductors, rules)),
+            "conductors_converging": _measured(shares, compared),
         },
     )
 

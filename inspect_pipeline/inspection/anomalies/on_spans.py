@@ -86,7 +86,7 @@ def find_on_spans(
 
 
 def _are_all_placed(one: SpanEvidence, expected: int) -> bool:
-    """Return whether lines are those of the known conductors: with errors of poses, another mixes with them."""
+    """Return whether all conductors have places: with errors of poses, lines of others mix with theirs."""
     return one.sight.shift_sd_m <= _EXACT_SD_M or len(one.places) == expected
 
 

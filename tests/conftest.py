@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy and torch: pytest-xdist has a worker a core
-if Path("/dev/shm").is_dir() and shutil.disk_usage("/dev/shm").free > 2 << 30:  # noqa: S108
-    # In memory: a disk takes long to sync and to remove thousands of files.
-    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/dev/shm")  # noqa: S108
 
 import cv2
 import numpy as np
@@ -30,6 +27,14 @@ if TYPE_CHECKING:
 cv2.setNumThreads(1)
 gc.disable()  # until all tests are imported
 atexit.register(gc.unfreeze)  # or DuckDB's bindings report objects that were not freed
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let the fast tests write to memory: a disk takes long to sync and to remove thousands of files."""
+    memory = Path("/dev/shm")  # noqa: S108
+    is_fast = "not slow and not reliability" in config.option.markexpr
+    if is_fast and memory.is_dir() and shutil.disk_usage(memory).free > 2 << 30:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(memory))
 
 
 def pytest_collection_finish() -> None:

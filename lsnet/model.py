@@ -81,18 +81,22 @@ class FeatureExtractor(nn.Sequential):
             c_in = config.stem_channels
         for i, c_out in enumerate(config.stage_channels, 1):
             end_padded = config.centred and i == len(config.stage_channels)
-            layers += self._stage(c_in, c_out, config, end_padded=end_padded)
+            layers += self._stage(
+                c_in, c_out, config, end_padded=end_padded, is_plain=i <= config.plain_stages
+            )
             c_in = c_out
         layers += [Residual(c_in, config.norm, dilation=2 << i) for i in range(config.context_blocks)]
         super().__init__(*layers)
 
     @staticmethod
-    def _stage(c_in: int, c_out: int, config: LSNetConfig, *, end_padded: bool) -> list[nn.Module]:
-        norm = config.norm
+    def _stage(
+        c_in: int, c_out: int, config: LSNetConfig, *, end_padded: bool, is_plain: bool
+    ) -> list[nn.Module]:
+        norm, blocks = config.norm, 0 if is_plain else config.stage_blocks
         if config.downsample == "first":
             first = ConvNormAct(c_in, c_out, norm, stride=2, end_padded=end_padded)
             if config.residual:
-                return [first, *(Residual(c_out, norm) for _ in range(config.stage_blocks))]
+                return [first, *(Residual(c_out, norm) for _ in range(blocks))]
             return [first, ConvNormAct(c_out, c_out, norm), ConvNormAct(c_out, c_out, norm)]
         pair = [ConvNormAct(c_in, c_out, norm), ConvNormAct(c_out, c_out, norm)]
         if config.downsample == "pool":
@@ -101,13 +105,20 @@ class FeatureExtractor(nn.Sequential):
 
 
 class Head(nn.Sequential):
-    """A 2 x 2 convolution to the four grids, then 1 x 1: (N, C, R + 1, S + 1) to (N, K, R, S)."""
+    """A 2 x 2 convolution to the four grids, then 1 x 1: (N, C, R + 1, S + 1) to (N, K, R, S).
+
+    Without the first where both heads share it.
+    """
 
     def __init__(self, c_in: int, config: LSNetConfig, outputs: int) -> None:
-        super().__init__(
-            ConvNormAct(c_in, config.head_channels, config.norm, kernel=2),
-            nn.Conv2d(config.head_channels, outputs, 1),
-        )
+        final = nn.Conv2d(config.head_channels, outputs, 1)
+        own = [] if config.shared_head else [transformation(c_in, config)]
+        super().__init__(*own, final)
+
+
+def transformation(c_in: int, config: LSNetConfig) -> ConvNormAct:
+    """Return the layer from the features to the cells of the four grids."""
+    return ConvNormAct(c_in, config.head_channels, config.norm, kernel=2)
 
 
 class Classifier(Head):
@@ -148,6 +159,7 @@ class LSNet(nn.Module):
         self.config = config
         features = config.stage_channels[-1]
         self.extractor = FeatureExtractor(config)
+        self.shared = transformation(features, config) if config.shared_head else nn.Identity()
         self.classifier = Classifier(features, config)
         self.regressor = Regressor(features, config)
         for module in self.modules():
@@ -160,5 +172,5 @@ class LSNet(nn.Module):
     def forward(self, images: Tensor) -> RawOutput:
         """Run a batch; the results equal those of its images one by one."""
         x = (images - self.config.pixel_mean) / self.config.pixel_std
-        features = self.extractor(x.to(self.classifier[0][0].weight.dtype))  # type: ignore[index]
+        features = self.shared(self.extractor(x.to(self.classifier[-1].weight.dtype)))  # type: ignore[arg-type]
         return RawOutput(self.classifier(features), self.regressor(features))

@@ -24,6 +24,8 @@ class LSNetConfig:
     context_blocks: int = 0  # residual blocks of dilation 2, 4, 8 ... after the last stage
     residual: bool = False  # skip connections around the last two convolutions of a stage
     stage_blocks: int = 1  # such pairs of convolutions per stage, with `residual`
+    plain_stages: int = 0  # first stages that have no such pairs
+    shared_head: bool = False  # one transformation layer for both heads; in the paper each has its own
     centred: bool = False  # put receptive fields on the centres of the cells: see `EndPadded`
     pixel_mean: float = 0.5  # of images in [0, 1]
     pixel_std: float = 0.25
@@ -36,6 +38,8 @@ class LSNetConfig:
             raise ValueError(f"stem and stages must halve the image {HALVINGS} times")
         if not (0 <= self.context_blocks <= 8 and 1 <= self.stage_blocks <= 8):
             raise ValueError("too many or too few blocks")
+        if not 0 <= self.plain_stages <= len(self.stage_channels) * self.residual:
+            raise ValueError("only stages with residual blocks can be without them")
         if self.norm not in {"group", "batch"} or self.downsample not in {
             "first",
             "last",

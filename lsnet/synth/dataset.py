@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 import cv2
 import numpy as np
 
+from lsnet.synth.clutter.borders import road_bend
 from lsnet.synth.clutter.clutter import add_clutter
 from lsnet.synth.conditions import augment_further
-from lsnet.synth.scene import add_cables
+from lsnet.synth.scene import add_cables, finish_for
+from lsnet.synth.towers import add_tower
 
 if TYPE_CHECKING:
     from lsnet.arrays import Floats, Floats32, ImageArray
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
 
 EMPTY_SHARE = 0.2  # of images have no cable
 SMALL_SHARE = 0.25  # of images have a low resolution, enlarged two to four times as by `Detector`
+TOWER_SHARE = 0.2  # of the others show a tower from near, whose wires end there
+PHOTOGRAPH_SHARE = 0.3  # of the others are photographs near their own resolution, without clutter
+BEND_SHARE = 0.25  # of these get lines along a bend
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +53,7 @@ class SampleSource(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticScenes:
-    """Cables drawn over backgrounds and clutter, augmented."""
+    """Cables and towers drawn over backgrounds and clutter, augmented."""
 
     pool: BackgroundPool
     size: int = 384
@@ -57,18 +62,32 @@ class SyntheticScenes:
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self.seed, index])
         factor = int(rng.integers(2, 5)) if rng.random() < SMALL_SHARE else 1
-        small = self._seen(rng, self.size // factor)
+        small = self._seen(rng, self.size // factor, has_details=factor == 1)
         size = (self.size, self.size)
         image = np.asarray(cv2.resize(small.image, size, interpolation=cv2.INTER_LINEAR), np.uint8)
         return Sample(image, [line * (self.size / small.image.shape[0]) for line in small.lines])
 
-    def _seen(self, rng: np.random.Generator, size: int) -> Sample:
-        scene = to_uint8(self.pool.sample(rng, size))
-        add_clutter(scene, rng, lambda: to_uint8(self.pool.sample(rng, size)))
+    def _seen(self, rng: np.random.Generator, size: int, *, has_details: bool) -> Sample:
+        scene = self._scene(rng, size, is_photograph=has_details and rng.random() < PHOTOGRAPH_SHARE)
+        lines: list[Floats] = []
+        if has_details and rng.random() < TOWER_SHARE:
+            lines += add_tower(scene, rng, finish_for(scene.astype(np.float32), rng))
         image = scene.astype(np.float32)
-        lines = add_cables(image, rng) if rng.random() >= EMPTY_SHARE else []
+        if rng.random() >= (0.6 if lines else EMPTY_SHARE):
+            lines += add_cables(image, rng)
         image, lines = augment_further(image, lines, rng)
         return Sample(to_uint8(image), lines)
+
+    def _scene(self, rng: np.random.Generator, size: int, *, is_photograph: bool) -> ImageArray:
+        if is_photograph:
+            photograph = self.pool.photograph(rng, size)
+            scene = np.asarray(cv2.resize(photograph, (size, size), interpolation=cv2.INTER_CUBIC), np.uint8)
+            if rng.random() < BEND_SHARE:
+                road_bend(scene, rng)
+            return scene
+        scene = to_uint8(self.pool.sample(rng, size))
+        add_clutter(scene, rng, lambda: to_uint8(self.pool.sample(rng, size)))
+        return scene
 
 
 def to_uint8(image: Floats32) -> ImageArray:

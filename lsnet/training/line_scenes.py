@@ -16,6 +16,7 @@ from lsnet.lines.features import features_of
 from lsnet.lines.polylines import Polylines
 from lsnet.postprocess import clip_segments
 from lsnet.preprocess import automatic_scale, prepare
+from lsnet.synth.clutter.borders import road_bend
 from lsnet.synth.clutter.clutter import add_clutter
 from lsnet.synth.conditions import augment_further
 from lsnet.synth.dataset import to_uint8
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 SIZES_PX, SIZE_SHARES = (384, 512, 640, 768, 1024), (0.2, 0.3, 0.25, 0.15, 0.1)
 SMALL_PX, SMALL_SHARE = (128, 128, 160, 192), 0.15  # enlarged by the detector
+BEND_SHARE = 0.25  # of the photographs get lines along a bend
 EMPTY_SHARE = 0.15  # of the scenes without a tower have no wire
 TOLERANCE_PX, MAX_ANGLE_DEG = 3.0, 15.0  # of a place on a wire
 
@@ -90,6 +92,8 @@ def draw_scene(pool: BackgroundPool, rng: Rng) -> tuple[ImageArray, list[Floats]
     side = scene.shape[0]
     if kind is SceneKind.CLUTTER or (kind is SceneKind.TOWER and rng.random() < 0.3):
         add_clutter(scene, rng, lambda: to_uint8(pool.sample(rng, side)))
+    elif rng.random() < BEND_SHARE:
+        road_bend(scene, rng)
     lines: list[Floats] = []
     if kind is SceneKind.TOWER:
         lines += add_tower(scene, rng, finish_for(scene.astype(np.float32), rng))

@@ -155,3 +155,33 @@ def edging(image: ImageArray, rng: Rng) -> None:
     rgb = np.clip(tone * (1 + rng.normal(0, 0.06, 3)), 2, 245).astype(np.float32)
     grained = rgb + smooth_noise(rng, (height, width), 1.2)[..., None] * np.float32(rng.uniform(0, 12))
     put(image, image + alpha[..., None] * (grained - image))
+
+
+def road_bend(image: ImageArray, rng: Rng) -> None:
+    """Draw lines along the bend of a road or a path: paint, a seam of tarmac, or a worn edge.
+
+    The same ground lies on both sides, but no wire bends as much. None in small pictures.
+    """
+    height, width = image.shape[:2]
+    if min(height, width) < MIN_DETAILED_PX:
+        return
+    length = np.exp(rng.uniform(np.log(0.3), np.log(2))) * max(height, width)
+    t = np.linspace(-0.5, 0.5, 65)
+    turn, sway = rng.choice([-1, 1]) * rng.uniform(0.35, 2.2), rng.normal(0, 1.5)
+    angles = rng.uniform(0, 2 * np.pi) + turn * t + sway * t**2 * rng.random()
+    steps = np.stack([np.cos(angles), np.sin(angles)], axis=1) * length / len(t)
+    middle = np.cumsum(steps, axis=0)
+    middle += anywhere(image, rng) - middle[32]
+    across = np.stack([-steps[:, 1], steps[:, 0]], axis=1) / np.hypot(*steps.T)[:, None]
+    layer, tone = image.copy(), float(image.mean())
+    for _ in range(int(rng.integers(1, 4))):
+        is_paint = rng.random() < 0.5
+        paint = np.array([235.0, 235, 228]) if rng.random() < 0.5 else np.array([215.0, 165, 60])
+        seam = np.full(3, tone * (rng.uniform(0.2, 0.8) if rng.random() < 0.6 else rng.uniform(1.2, 1.8)))
+        rgb = np.clip((paint * rng.uniform(0.6, 1) if is_paint else seam) + rng.normal(0, 4, 3), 2, 250)
+        at, width_px = rng.uniform(-0.08, 0.08) * max(height, width), rng.uniform(1, 7 if is_paint else 4)
+        for shift in (0.0, width_px * rng.uniform(1.8, 3)) if rng.random() < 0.3 else (0.0,):
+            stroke(layer, middle + across * (at + shift), rgb, width_px)
+    soft = cv2.GaussianBlur(layer, (0, 0), rng.uniform(0.4, 1.4)).astype(np.float32)
+    worn = np.clip(rng.uniform(0.4, 1.4) + 0.4 * smooth_noise(rng, (height, width), 9), 0, 1)[..., None]
+    put(image, image + worn * (soft - image))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lsnet.synth.clutter.borders import edging, half_plane, roadside
+from lsnet.synth.clutter.borders import edging, half_plane, road_bend, roadside
 from lsnet.synth.clutter.plants import branches, cracks, foliage, shrub, trunk
 from lsnet.synth.clutter.structures import building, fence, furrows, markings, shadows, struts, tile_grid
 
@@ -22,6 +22,7 @@ KINDS: dict[Callable[[ImageArray, Rng], None], float] = {
     furrows: 0.08,
     roadside: 0.35,
     markings: 0.14,
+    road_bend: 0.16,
     tile_grid: 0.18,
     cracks: 0.10,
     edging: 0.16,

@@ -82,3 +82,23 @@ def test_training_starts_from_the_most_important_channels(tmp_path, monkeypatch)
     monkeypatch.setitem(PRESETS, "fast", replace(TINY, stage_channels=(4, 6, 9)))
     with pytest.raises(LSNetError, match=r"wide\.safetensors: not weights of this network or a wider one"):
         Trainer(TrainConfig(), tmp_path / "other", start=wide)
+
+
+@pytest.mark.parametrize("is_shared", [False, True], ids=["own", "shared"])
+def test_a_head_that_both_share_holds_the_channels_of_each(is_shared: bool) -> None:
+    own = LSNet(replace(TINY, shared_head=is_shared))
+    width = TINY.head_channels * (1 if is_shared else 2)
+    ours = slim(own, replace(own.config, shared_head=True, head_channels=width)).eval()
+    images = torch.rand(2, 3, 64, 96)
+    for expected, found in zip(own.eval()(images), ours(images), strict=True):
+        torch.testing.assert_close(found, expected)
+
+
+def test_plain_stages_lose_their_residual_blocks_only() -> None:
+    wide = tiny_net()
+    silence(wide.extractor[2].body[1], torch.tensor([], dtype=torch.long))
+    ours = slim(wide, replace(TINY, plain_stages=1)).eval()
+    images = torch.rand(1, 3, 64, 64)
+    assert len(ours.extractor) == len(wide.extractor) - 1
+    for expected, found in zip(wide(images), ours(images), strict=True):
+        torch.testing.assert_close(found, expected)

@@ -1,7 +1,7 @@
 """`Detector`: images in, detections in the pixels of those images out.
 
-Three steps: `prepare` resizes and pads, a backend runs the network, and a `Postprocessor` turns its raw
-output into segments and lines and undoes the resizing.
+At each level of an image: `prepare` resizes and pads, a backend runs the network, and a `Postprocessor` turns
+its raw output into segments and lines and undoes the resizing. The lines of all levels become one set.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from lsnet.errors import LSNetError
 from lsnet.images import open_rgb
 from lsnet.lines.score import read_line_score
 from lsnet.postprocess import Postprocessor
-from lsnet.preprocess import MAX_SCALE, automatic_scale, prepare
+from lsnet.preprocess import MAX_SCALE, prepare
 from lsnet.runtime.backend import open_backend
+from lsnet.scales import levels_of, merge_levels
 from lsnet.tiles import join, tiles_of
 from lsnet.weights_file import WeightsFile, read_weights
 
@@ -37,7 +38,7 @@ class Detector:
     """A network with its runtime, scale and threshold; a batch gives the same results as its images alone.
 
     Attributes:
-        scale: Factor by which images are resized before detection; None enlarges small ones only.
+        scale: Factor by which images are resized before detection; None for the levels of `scales`.
         min_score: Lowest score of a segment or line that is reported.
     """
 
@@ -68,7 +69,7 @@ class Detector:
             device: Of torch: cpu, cuda or cuda:N. Default: the first GPU, if there is one.
             threads: Of the CPU. Default: one per core.
             scale: Factor by which images are resized before detection. Default: that of the weights; if
-                they have none, images of less than half the training size are enlarged by a whole number.
+                they have none, several as the size of the image asks, see `levels_of`.
             min_score: Lowest score of a segment or line to report. Default: that of the weights.
 
         Raises:
@@ -132,15 +133,19 @@ class Detector:
             images = [images]
         opened = [open_rgb(image, color) for image in images]
         with timed("prepare"):
-            prepared = [prepare(image, self.scale_of(image)) for image in opened]
+            levels = [self.levels_of(image) for image in opened]
+            prepared = [
+                prepare(image, level) for image, own in zip(opened, levels, strict=True) for level in own
+            ]
         with timed("infer"):
             maps = self._run(prepared)
         with timed("merge"):
-            return [self._postprocess(m, image) for m, image in zip(maps, prepared, strict=True)]
+            found = iter([self._postprocess(m, image) for m, image in zip(maps, prepared, strict=True)])
+            return [merge_levels([next(found) for _ in own], own) for own in levels]
 
-    def scale_of(self, image: ImageArray) -> float:
-        """Return the factor by which an image is resized before detection."""
-        return automatic_scale(image.shape[:2]) if self.scale is None else self.scale
+    def levels_of(self, image: ImageArray) -> tuple[float, ...]:
+        """Return the factors by which an image is resized before detection."""
+        return levels_of((image.shape[0], image.shape[1])) if self.scale is None else (self.scale,)
 
     def _run(self, prepared: Sequence[PreparedImage]) -> list[Maps]:
         """Raw maps of each image; very large images are run in tiles."""

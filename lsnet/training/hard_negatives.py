@@ -63,7 +63,7 @@ def named_photos(backgrounds: Sequence[str]) -> dict[str, Path]:
 def hard_squares(photo: NDArray[np.uint8], detector: Detector) -> list[NDArray[np.uint8]]:
     """Cut squares around the reported segments, highest score first; each segment is in one of them."""
     height, width = photo.shape[:2]
-    side = min(round(SQUARE_PX / detector.scale_of(photo)), height, width)
+    side = min(round(SQUARE_PX / detector.levels_of(photo)[0]), height, width)
     found = detector.detect([photo])[0].segments
     return [photo[y : y + side, x : x + side] for x, y in _corners(found, side)]
 

@@ -7,13 +7,11 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from lsnet.geometry import angle_between
 from lsnet.grid import GridCoder
 from lsnet.lines.chaining import ChainingConfig, propose_lines
 from lsnet.lines.features import features_of
-from lsnet.lines.polylines import Polylines
+from lsnet.lines.overlap import find_overlaps
 from lsnet.postprocess import clip_segments
 from lsnet.preprocess import automatic_scale, prepare
 from lsnet.synth.clutter.borders import road_bend
@@ -34,7 +32,9 @@ SIZES_PX, SIZE_SHARES = (384, 512, 640, 768, 1024), (0.2, 0.3, 0.25, 0.15, 0.1)
 SMALL_PX, SMALL_SHARE = (128, 128, 160, 192), 0.15  # enlarged by the detector
 BEND_SHARE = 0.25  # of the photographs get lines along a bend
 EMPTY_SHARE = 0.15  # of the scenes without a tower have no wire
-TOLERANCE_PX, MAX_ANGLE_DEG = 3.0, 15.0  # of a place on a wire
+LEVELS = (1.0, 1.0, 1.0, 1.5, 0.5)  # of scenes that the detector does not enlarge, with their frequency
+COARSE_FROM_PX = 640  # the last only from this side on
+TOLERANCE_PX = 3.0  # of a place on a wire
 
 
 class SceneKind(IntEnum):
@@ -104,11 +104,27 @@ def draw_scene(pool: BackgroundPool, rng: Rng) -> tuple[ImageArray, list[Floats]
     return to_uint8(image), lines, kind
 
 
+def draw_level(image: ImageArray, rng: Rng) -> float:
+    """Return the factor by which an image (H, W, 3) is resized: small ones as always, others at any level."""
+    size = image.shape[0], image.shape[1]
+    base = automatic_scale(size)
+    levels = LEVELS if min(size) >= COARSE_FROM_PX else LEVELS[:-1]
+    return base if base > 1 else float(rng.choice(levels))
+
+
 def examples_in(
-    image: ImageArray, lines: Sequence[RealArray], kind: SceneKind, backend: Backend
+    image: ImageArray, lines: Sequence[RealArray], kind: SceneKind, level: float, backend: Backend
 ) -> Examples | None:
-    """Return the proposals in an image (H, W, 3) with true lines (K, 2); None if there are no proposals."""
-    prepared, config = prepare(image, automatic_scale(image.shape[:2])), ChainingConfig()
+    """Return the proposals in an image (H, W, 3) with true lines (K, 2); None if there are no proposals.
+
+    Args:
+        image: The scene.
+        lines: Points x, y of its wires, pixels.
+        kind: What it shows.
+        level: Factor by which it is resized.
+        backend: The network.
+    """
+    prepared, config = prepare(image, level), ChainingConfig()
     maps = backend.run([prepared.pixels])[0]
     decoded = GridCoder().decode(*maps, prepared.padded_size, config.min_segment_score)
     segments = clip_segments(decoded, prepared.scaled_size)
@@ -116,38 +132,11 @@ def examples_in(
     if not len(proposals):
         return None
     height, width = prepared.scaled_size
+    reach_px = TOLERANCE_PX * max(prepared.scale, 1.0) ** 0.5
     factor = np.array([width / image.shape[1], height / image.shape[0]])
     return Examples(
         features_of(prepared.pixels[:height, :width], maps[0], proposals),
-        shares_on(proposals.polylines, [line * factor for line in lines], prepared.scale),
+        find_overlaps(proposals.polylines, [line * factor for line in lines], reach_px).shares(),
         proposals.extent_px,
         np.full(len(proposals), kind, np.int64),
     )
-
-
-def shares_on(
-    polylines: Polylines | Sequence[RealArray], lines: Sequence[RealArray], enlargement: float = 1.0
-) -> Floats:
-    """Return (C,) shares of the length of polylines that lie on one of the lines, in its direction."""
-    if not lines:
-        return np.zeros(len(polylines))
-    truth = [_sampled(line, 1.5) for line in lines]
-    places, angles = (np.concatenate(part) for part in zip(*truth, strict=True))
-    tree = cKDTree(places)
-    shares = np.zeros(len(polylines))
-    for i, polyline in enumerate(polylines):
-        own, own_angles = _sampled(polyline, 3.0)
-        reach = TOLERANCE_PX * np.sqrt(max(enlargement, 1.0))
-        _, near = tree.query(own, k=16, distance_upper_bound=reach)
-        is_near = near < len(places)
-        turned = angle_between(angles[np.minimum(near, len(places) - 1)], own_angles[:, None])
-        shares[i] = (is_near & (turned <= np.radians(MAX_ANGLE_DEG))).any(axis=1).mean()
-    return shares
-
-
-def _sampled(line: RealArray, step_px: float) -> tuple[Floats, Floats]:
-    """Return the middles of pieces of a line (K, 2), about `step_px` long, and their angles."""
-    length = float(np.hypot(*np.diff(line, axis=0).T).sum())
-    points = Polylines.of([line]).spaced(max(2, round(length / step_px)) + 1, np.array([0]))[0]
-    steps = np.diff(points, axis=0)
-    return (points[1:] + points[:-1]) / 2, np.arctan2(steps[:, 1], steps[:, 0])

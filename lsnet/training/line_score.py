@@ -13,7 +13,7 @@ from lsnet.errors import LSNetError
 from lsnet.lines.score import LineScore
 from lsnet.runtime.backend import open_backend
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
-from lsnet.training.line_scenes import Examples, SceneKind, draw_scene, examples_in
+from lsnet.training.line_scenes import Examples, SceneKind, draw_level, draw_scene, examples_in
 from lsnet.weights import load_network, save_weights
 from lsnet.weights_file import read_weights
 
@@ -75,7 +75,9 @@ def train_line_score(
     pool = BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds])
     parts = []
     for index in range(scenes):
-        found = examples_in(*draw_scene(pool, np.random.default_rng([seed, index])), backend)
+        rng = np.random.default_rng([seed, index])
+        image, lines, kind = draw_scene(pool, rng)
+        found = examples_in(image, lines, kind, draw_level(image, rng), backend)
         parts += [found] if found else []
         on_scene()
     examples = Examples.joined(parts) if parts else None

@@ -25,8 +25,8 @@ class FixedDetector:
     def __init__(self, rows: list[list[float]], scale: float = 1.0) -> None:
         self.rows, self.scale = np.array(rows, np.float32).reshape(-1, 5), scale
 
-    def scale_of(self, _image: np.ndarray) -> float:
-        return self.scale
+    def levels_of(self, _image: np.ndarray) -> tuple[float, ...]:
+        return (self.scale,)
 
     def detect(self, images: list[np.ndarray]) -> list[Detections]:
         size = images[0].shape[:2]

@@ -10,10 +10,11 @@ import torch
 from nets import TINY, tiny_net
 
 from lsnet.lines.features import FEATURES
+from lsnet.lines.overlap import find_overlaps
 from lsnet.lines.score import read_line_score
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.training import line_score
-from lsnet.training.line_scenes import Examples, SceneKind, draw_scene, shares_on
+from lsnet.training.line_scenes import Examples, SceneKind, draw_scene
 from lsnet.weights import save_weights
 from lsnet.weights_file import WeightsCard, read_weights
 
@@ -30,8 +31,8 @@ def test_the_share_of_a_line_on_a_wire_counts_place_and_direction() -> None:
         np.array([[20.0, 60], [120, 60]]),  # beside it
         np.array([[100.0, 45], [102, 55]]),  # across it
     ]
-    assert shares_on(lines, [WIRE]) == pytest.approx([1, 0.5, 0, 0], abs=0.03)
-    assert shares_on(lines, []).tolist() == [0, 0, 0, 0]
+    assert find_overlaps(lines, [WIRE], reach_px=3.0).shares() == pytest.approx([1, 0.5, 0, 0], abs=0.03)
+    assert find_overlaps(lines, [], reach_px=3.0).shares().tolist() == [0, 0, 0, 0]
 
 
 def test_a_score_learns_and_is_the_same_in_a_weights_file(

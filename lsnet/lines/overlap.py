@@ -1,0 +1,78 @@
+"""Where lines lie on other lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lsnet.geometry import angle_between
+from lsnet.lines.polylines import Polylines
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lsnet.arrays import Floats, Indices, Mask, RealArray
+
+MAX_ANGLE_DEG = 15.0
+STEP_PX, OTHER_STEP_PX = 3.0, 1.5
+NEAREST = 16  # pieces of other lines that are compared with a piece
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlaps:
+    """Pieces of C lines, and which of the other lines they lie on.
+
+    Attributes:
+        line_of: (P,) number of the line of each piece.
+        pieces, others: (Q,) a piece, and the number of another line that it lies on.
+        counts: (C,) pieces of each line.
+    """
+
+    line_of: Indices
+    pieces: Indices
+    others: Indices
+    counts: Indices
+
+    def shares(self, is_other: Mask | None = None) -> Floats:
+        """Return (C,) shares of the length of lines that lie on any of the others, or on those chosen."""
+        pieces = self.pieces if is_other is None else self.pieces[is_other[self.others]]
+        on = self.line_of[np.unique(pieces)]
+        return np.bincount(on, minlength=len(self.counts)) / np.maximum(self.counts, 1)
+
+
+def find_overlaps(lines: Sequence[RealArray], others: Sequence[RealArray], reach_px: float) -> Overlaps:
+    """Find where lines lie on others, in their direction.
+
+    Args:
+        lines: Points (K, 2) of each, pixels.
+        others: Likewise.
+        reach_px: Greatest distance of the middle of a piece from the line that it lies on.
+    """
+    middles, angles, line_of = _pieces(lines, STEP_PX)
+    places, other_angles, other_of = _pieces(others, OTHER_STEP_PX)
+    counts = np.bincount(line_of, minlength=len(lines))
+    if not len(places) or not len(middles):
+        none = np.zeros(0, np.intp)
+        return Overlaps(line_of, none, none, counts)
+    near = np.asarray(cKDTree(places).query(middles, k=NEAREST, distance_upper_bound=reach_px)[1])
+    pieces, column = np.nonzero(near < len(places))
+    found = near[pieces, column]
+    is_along = angle_between(other_angles[found], angles[pieces]) <= np.radians(MAX_ANGLE_DEG)
+    return Overlaps(line_of, pieces[is_along], other_of[found[is_along]], counts)
+
+
+def _pieces(lines: Sequence[RealArray], step_px: float) -> tuple[Floats, Floats, Indices]:
+    """Middles of pieces of about `step_px`, their angles, and the number of the line of each."""
+    if not lines:
+        return np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.intp)
+    joined = Polylines.of(lines)
+    counts = np.maximum(np.round(joined.lengths_px / step_px).astype(np.intp), 1)
+    line_of = np.repeat(np.arange(len(lines)), counts)
+    place = np.arange(len(line_of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    step = (joined.lengths_px / counts)[line_of]
+    start, end = joined.at(line_of, place * step), joined.at(line_of, (place + 1) * step)
+    along = end - start
+    return (start + end) / 2, np.arctan2(along[:, 1], along[:, 0]), line_of

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lsnet.lines.overlap import find_overlaps
+from lsnet.lines.polylines import Polylines
 from lsnet.preprocess import automatic_scale
 from lsnet.segments import Detections, Lines, Segments
 
@@ -50,7 +51,8 @@ def merge_levels(found: Sequence[Detections], levels: Sequence[float]) -> Detect
 
 def _is_kept(points: Sequence[Floats32], scores: Floats32, level_of: Indices, reach_px: float) -> Mask:
     """(M,) whether each line is no double of a better one of another level."""
-    overlaps = find_overlaps(points, points, reach_px)
+    polylines = Polylines.of(points)
+    overlaps = find_overlaps(polylines, polylines, reach_px)
     kept = np.zeros(len(points), bool)
     for i in np.argsort(-scores, kind="stable"):
         kept[i] = overlaps.shares(kept & (level_of != level_of[i]))[i] < DOUBLE_SHARE

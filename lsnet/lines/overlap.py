@@ -9,12 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lsnet.geometry import angle_between
-from lsnet.lines.polylines import Polylines
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from lsnet.arrays import Floats, Indices, Mask, RealArray
+    from lsnet.arrays import Floats, Indices, Mask
+    from lsnet.lines.polylines import Polylines
 
 MAX_ANGLE_DEG = 15.0
 STEP_PX, OTHER_STEP_PX = 3.0, 1.5
@@ -43,11 +41,11 @@ class Overlaps:
         return np.bincount(on, minlength=len(self.counts)) / np.maximum(self.counts, 1)
 
 
-def find_overlaps(lines: Sequence[RealArray], others: Sequence[RealArray], reach_px: float) -> Overlaps:
+def find_overlaps(lines: Polylines, others: Polylines, reach_px: float) -> Overlaps:
     """Find where lines lie on others, in their direction.
 
     Args:
-        lines: Points (K, 2) of each, pixels.
+        lines: In pixels.
         others: Likewise.
         reach_px: Greatest distance of the middle of a piece from the line that it lies on.
     """
@@ -64,15 +62,14 @@ def find_overlaps(lines: Sequence[RealArray], others: Sequence[RealArray], reach
     return Overlaps(line_of, pieces[is_along], other_of[found[is_along]], counts)
 
 
-def _pieces(lines: Sequence[RealArray], step_px: float) -> tuple[Floats, Floats, Indices]:
+def _pieces(lines: Polylines, step_px: float) -> tuple[Floats, Floats, Indices]:
     """Middles of pieces of about `step_px`, their angles, and the number of the line of each."""
-    if not lines:
+    if not len(lines):
         return np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.intp)
-    joined = Polylines.of(lines)
-    counts = np.maximum(np.round(joined.lengths_px / step_px).astype(np.intp), 1)
+    counts = np.maximum(np.round(lines.lengths_px / step_px).astype(np.intp), 1)
     line_of = np.repeat(np.arange(len(lines)), counts)
     place = np.arange(len(line_of)) - np.repeat(np.cumsum(counts) - counts, counts)
-    step = (joined.lengths_px / counts)[line_of]
-    start, end = joined.at(line_of, place * step), joined.at(line_of, (place + 1) * step)
+    step = (lines.lengths_px / counts)[line_of]
+    start, end = lines.at(line_of, place * step), lines.at(line_of, (place + 1) * step)
     along = end - start
     return (start + end) / 2, np.arctan2(along[:, 1], along[:, 0]), line_of

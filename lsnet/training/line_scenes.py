@@ -12,6 +12,7 @@ from lsnet.grid import GridCoder
 from lsnet.lines.chaining import ChainingConfig, propose_lines
 from lsnet.lines.features import features_of
 from lsnet.lines.overlap import find_overlaps
+from lsnet.lines.polylines import Polylines
 from lsnet.postprocess import clip_segments
 from lsnet.preprocess import automatic_scale, prepare
 from lsnet.synth.clutter.borders import road_bend
@@ -134,9 +135,10 @@ def examples_in(
     height, width = prepared.scaled_size
     reach_px = TOLERANCE_PX * max(prepared.scale, 1.0) ** 0.5
     factor = np.array([width / image.shape[1], height / image.shape[0]])
+    wires = Polylines.of([line * factor for line in lines])
     return Examples(
         features_of(prepared.pixels[:height, :width], maps[0], proposals),
-        find_overlaps(proposals.polylines, [line * factor for line in lines], reach_px).shares(),
+        find_overlaps(proposals.polylines, wires, reach_px).shares(),
         proposals.extent_px,
         np.full(len(proposals), kind, np.int64),
     )

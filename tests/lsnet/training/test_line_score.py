@@ -11,6 +11,7 @@ from nets import TINY, tiny_net
 
 from lsnet.lines.features import FEATURES
 from lsnet.lines.overlap import find_overlaps
+from lsnet.lines.polylines import Polylines
 from lsnet.lines.score import read_line_score
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.training import line_score
@@ -31,8 +32,11 @@ def test_the_share_of_a_line_on_a_wire_counts_place_and_direction() -> None:
         np.array([[20.0, 60], [120, 60]]),  # beside it
         np.array([[100.0, 45], [102, 55]]),  # across it
     ]
-    assert find_overlaps(lines, [WIRE], reach_px=3.0).shares() == pytest.approx([1, 0.5, 0, 0], abs=0.03)
-    assert find_overlaps(lines, [], reach_px=3.0).shares().tolist() == [0, 0, 0, 0]
+    found = Polylines.of(lines)
+    assert find_overlaps(found, Polylines.of([WIRE]), reach_px=3.0).shares() == pytest.approx(
+        [1, 0.5, 0, 0], abs=0.03
+    )
+    assert find_overlaps(found, Polylines.of([]), reach_px=3.0).shares().tolist() == [0, 0, 0, 0]
 
 
 def test_a_score_learns_and_is_the_same_in_a_weights_file(

@@ -47,7 +47,7 @@ def test_a_score_learns_and_is_the_same_in_a_weights_file(
     features = rng.normal(size=(1500, FEATURES)).astype(np.float32)
     targets = (features[:, 7] > 0).astype(float)
     examples = Examples(features, targets, np.full(1500, 100.0), np.ones(1500, np.int64))
-    nets = [line_score.fit(examples, seed) for seed in range(2)]
+    nets = [line_score.fit(examples, seed) for seed in range(len(line_score.MEMBERS))]
     path = tmp_path / "w.safetensors"
     save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5), line_score.as_line_score(nets))
     loaded = read_line_score(read_weights(path))

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from lsnet.arrays import Floats32, Indices, Mask
 
-COARSEST_PX = 500  # shorter side at the coarsest level
-FINE, FINE_PX = 1.5, (600, 1000)  # level of images whose shorter side is in this range
+COARSEST_PX = 1000  # shorter side at the coarsest level: below, kerbs look like wires
+FINE, FINE_PX = 1.5, (800, 1000)  # level of images with a shorter side in this range
 REACH_PX = 3.0  # at the coarser of two levels: lines this near are one
 DOUBLE_SHARE = 0.5  # of the length of a line on others: it is a double
 

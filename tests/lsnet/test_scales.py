@@ -30,8 +30,9 @@ def found(*lines: tuple[float, float, float, float, float]) -> Detections:
         ((128, 128), (3.0,)),
         ((360, 540), (1.0,)),
         ((864, 1152), (1.0, 1.5)),
-        ((1080, 1920), (1.0, 0.5)),
-        ((2160, 3840), (1.0, 0.5, 0.25)),
+        ((1080, 1920), (1.0,)),
+        ((2160, 3840), (1.0, 0.5)),
+        ((4320, 7680), (1.0, 0.5, 0.25)),
     ],
 )
 def test_the_size_of_an_image_chooses_its_levels(size, expected) -> None:

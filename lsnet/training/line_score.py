@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # A network on all scenes finds short wires at towers; those without towers are better on all other sets.
 MEMBERS = ((SceneKind.CLUTTER, SceneKind.EMPTY), (SceneKind.PHOTOGRAPH, SceneKind.EMPTY), tuple(SceneKind))
-BLEND = (0.0, 0.3, 0.45, 0.3, 0.0)  # factors of the members and of the prior, and a constant
+BLEND = (0.1, 0.125, 0.4, 0.5, -0.1)  # factors of the members and of the prior, and a constant
 WIDTHS = (64, 32)
 EPOCHS, BATCH, LEARNING_RATE, WEIGHT_DECAY = 7, 512, 3e-3, 0.05
 NOISE, DROPOUT = 0.1, 0.15  # noise of the features, in deviations

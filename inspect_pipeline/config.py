@@ -59,6 +59,7 @@ class ProcessOptions:
         allow_empty: let a result without decoded frames replace one with some.
         signals: numbers of other topics to index with each frame: names, and paths such as
             "/battery.percentage".
+        track_support: let tracks decide on lines whose score is near the least that is reported.
     """
 
     topics: tuple[str, ...] | None = None
@@ -72,6 +73,7 @@ class ProcessOptions:
     placing: PlacingOptions = PlacingOptions()
     allow_empty: bool = False
     signals: Mapping[str, str] = field(default_factory=dict)
+    track_support: bool = True
 
 
 DEFAULT_OPTIONS = ProcessOptions()
@@ -108,6 +110,7 @@ def start_described_run(
         "placing": _describe_placing(options.placing),
         "write": options.write,
         "schema": options.schema,
+        "track_support": options.track_support,
         "result_version": RESULT_VERSION,
         **({"signals": dict(options.signals)} if options.signals else {}),  # as older versions without
     }

@@ -9,15 +9,19 @@ import time
 from collections import Counter, defaultdict, deque
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.images.quality import ImageQuality, measure_quality
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from concurrent.futures import Future
 
+    from inspect_pipeline.arrays import Floats32
     from inspect_pipeline.recording.frames import UndecodedFrame
     from inspect_pipeline.recording.types import Frame
     from lsnet import Detections, Detector
@@ -28,12 +32,17 @@ _QUEUE_BYTES = 64 << 20  # of pixels in each of the two queues
 
 
 class ProcessedFrame(NamedTuple):
-    """A frame with its quality and detections, both None where it could not be decoded."""
+    """A frame with its quality and detections, both None where it could not be decoded.
+
+    track_scores: (N,) of the lines, NaN where unknown; None where tracks were not asked.
+    """
 
     frame: Frame
     quality: ImageQuality | None = None
     detections: Detections | None = None
     infer_ms: float | None = None
+    pose: FramePose = FramePose()
+    track_scores: Floats32 | None = None
 
 
 class StageTimes:
@@ -75,9 +84,15 @@ class StageTimes:
 
 
 def detect_frames(
-    frames: Iterable[UndecodedFrame], detector: Detector, times: StageTimes | None = None
+    frames: Iterable[UndecodedFrame],
+    detector: Detector,
+    times: StageTimes | None = None,
+    min_line_score: float | None = None,
 ) -> Iterator[ProcessedFrame]:
-    """Yield every frame with its detections, in order; the next ones are decoded and detected meanwhile."""
+    """Yield every frame with its detections, in order; the next ones are decoded and detected meanwhile.
+
+    Lines may have a score down to `min_line_score`, by default the least score of the detector.
+    """
     times = times or StageTimes()
     room = _Room()
 
@@ -91,7 +106,7 @@ def detect_frames(
             return ProcessedFrame(decoded, measure_quality(decoded.image))
 
     def detect(batch: list[ProcessedFrame]) -> list[ProcessedFrame]:
-        return _detect(batch, detector, times)
+        return _detect(batch, detector, times, min_line_score)
 
     n_decoders, n_images = max(1, detector.threads // 2), detector.n_images
     with ThreadPoolExecutor(n_decoders) as decoders, ThreadPoolExecutor(detector.n_calls + 1) as detectors:
@@ -103,10 +118,44 @@ def detect_frames(
             yield from batch
 
 
-def _detect(batch: list[ProcessedFrame], detector: Detector, times: StageTimes) -> list[ProcessedFrame]:
+def judge_by_tracks(
+    frames: Iterable[ProcessedFrame], min_score: float, times: StageTimes
+) -> Iterator[ProcessedFrame]:
+    """Yield the same frames with the lines that are to be reported, a little later and without pixels.
+
+    Lines down to `tracking.support.candidate_score` are candidates.
+    """
+    from inspect_pipeline.tracking.support import MOST_FRAMES, REACH_NS, TrackSupport  # noqa: PLC0415 - SciPy
+
+    support = TrackSupport(min_score)
+    waiting: deque[ProcessedFrame] = deque()
+
+    def judge(each: ProcessedFrame) -> ProcessedFrame:
+        if each.detections is None:
+            return each
+        with times.measure("track"):
+            is_reported, track_scores = support.judge(each.frame, each.detections.lines)
+            found = each.detections.take_lines(is_reported)
+            return each._replace(detections=found, track_scores=track_scores[is_reported])
+
+    for each in frames:
+        if each.detections is not None:
+            with times.measure("track"):
+                support.add(each.frame, each.detections.lines, each.pose)
+        waiting.append(each._replace(frame=replace(each.frame, image=None)))
+        seen_ns = each.frame.log_time_ns - REACH_NS
+        while waiting[0].frame.log_time_ns < seen_ns or len(waiting) > MOST_FRAMES:
+            yield judge(waiting.popleft())
+    yield from map(judge, waiting)
+
+
+def _detect(
+    batch: list[ProcessedFrame], detector: Detector, times: StageTimes, min_line_score: float | None
+) -> list[ProcessedFrame]:
     images = [each.frame.image for each in batch if each.frame.image is not None]
     started = time.perf_counter()
-    found = iter(detector.detect(images, timed=times.measure) if images else [])
+    detect = partial(detector.detect, timed=times.measure, min_line_score=min_line_score)
+    found = iter(detect(images) if images else [])
     infer_ms = (time.perf_counter() - started) * 1e3 / max(len(images), 1)
     return [
         each if each.frame.image is None else each._replace(detections=next(found), infer_ms=infer_ms)

@@ -1,7 +1,7 @@
 """The path of a recording: read, detect, track, write annotations and rows.
 
-recording ── iter_undecoded ── detect_frames ── FlightTracker ──┬── annotated.mcap, or annotations.mcap
-                                                             └── rows of frames, lines, tracks, … in parquet
+recording ── iter_undecoded ── detect_frames ── judge_by_tracks ── FlightTracker ──┬── annotations
+                                                                                   └── rows in parquet
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 
 from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator, message_format
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
-from inspect_pipeline.detection import DecodeCounts, StageTimes, detect_frames
+from inspect_pipeline.detection import DecodeCounts, StageTimes, detect_frames, judge_by_tracks
 from inspect_pipeline.errors import EmptyResultError
 from inspect_pipeline.georeference.signals import read_signals
 from inspect_pipeline.index.flight_tables import FlightWriter
@@ -27,10 +27,13 @@ from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from inspect_pipeline.config import ProcessOptions
+    from inspect_pipeline.detection import ProcessedFrame
+    from inspect_pipeline.georeference.frames import Georeferencer
     from inspect_pipeline.recording.append import AnnotationWriter
+    from inspect_pipeline.recording.frames import UndecodedFrame
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel
     from inspect_pipeline.store.records import RunRecord
@@ -178,11 +181,13 @@ def _write_flight(
             out.add_metadata(RUN_METADATA, run_metadata(recording.flight_id, run, model))
             schema = message_format(options.schema, recording.profile)
             annotator = FrameAnnotator(out, schema, model.score_threshold)
-        for n_frames, each in enumerate(detect_frames(frames, detector, times), 1):
+        found_frames = _find_lines(
+            frames, detector, georeferencer, options, min_score=model.score_threshold, times=times
+        )
+        for n_frames, each in enumerate(found_frames, 1):
             with times.measure("track"):
-                pose = georeferencer.place(each.frame)
                 found = each.detections
-                track_ids = tracker.follow(each.frame, found.lines, pose) if found else None
+                track_ids = tracker.follow(each.frame, found.lines, each.pose) if found else None
             if annotator:
                 with times.measure("annotate"):
                     annotator.write(each.frame, found)
@@ -191,10 +196,11 @@ def _write_flight(
                     each.frame,
                     found,
                     track_ids,
+                    each.track_scores,
                     infer_ms=each.infer_ms,
                     sharpness=each.quality.sharpness if each.quality else None,
                     mean_luma=each.quality.mean_luma if each.quality else None,
-                    place=pose,
+                    place=each.pose,
                     signals=signals.at(each.frame.log_time_ns),
                 )
             decoded.add(each.frame)
@@ -225,6 +231,24 @@ def _write_flight(
         channels=tuple(cameras),
         totals=totals,
     )
+
+
+def _find_lines(
+    frames: Iterable[UndecodedFrame],
+    detector: Detector,
+    georeferencer: Georeferencer,
+    options: ProcessOptions,
+    *,
+    min_score: float,
+    times: StageTimes,
+) -> Iterator[ProcessedFrame]:
+    """Yield every frame with its pose and the lines that are reported, in order."""
+    from inspect_pipeline.tracking.support import candidate_score  # noqa: PLC0415 - SciPy
+
+    lowest = candidate_score(min_score) if options.track_support else None
+    detected = detect_frames(frames, detector, times, lowest)
+    placed = (each._replace(pose=georeferencer.place(each.frame)) for each in detected)
+    return judge_by_tracks(placed, min_score, times) if options.track_support else placed
 
 
 @contextmanager

@@ -17,6 +17,7 @@ MIGRATIONS = (
     "0007_priorities.sql",
     "0008_signals.sql",
     "0009_conductors.sql",
+    "0010_track_scores.sql",
 )
 
 

@@ -117,6 +117,7 @@ class Detector:
         *,
         color: ColorOrder = "rgb",
         timed: Callable[[str], AbstractContextManager[object]] = nullcontext,
+        min_line_score: float | None = None,
     ) -> list[Detections]:
         """Detect segments and lines; one result per image, in the pixels of that image.
 
@@ -125,6 +126,7 @@ class Detector:
             color: Order of the channels of arrays: rgb, or bgr as `cv2.imread` returns. The order cannot
                 be recognised, and the wrong one costs accuracy.
             timed: Called with the name of each stage, prepare, infer and merge, for a context to run it in.
+            min_line_score: Lowest score of a line, where candidates are wanted as well. Default: `min_score`.
 
         Raises:
             LSNetError: A file cannot be read, or an array has another shape or type.
@@ -140,7 +142,9 @@ class Detector:
         with timed("infer"):
             maps = self._run(prepared)
         with timed("merge"):
-            found = iter([self._postprocess(m, image) for m, image in zip(maps, prepared, strict=True)])
+            found = iter(
+                [self._postprocess(m, image, min_line_score) for m, image in zip(maps, prepared, strict=True)]
+            )
             return [merge_levels([next(found) for _ in own], own) for own in levels]
 
     def levels_of(self, image: ImageArray) -> tuple[float, ...]:

@@ -32,8 +32,12 @@ class Postprocessor:
     coder: GridCoder = field(default_factory=GridCoder)
     chaining: ChainingConfig = field(default_factory=ChainingConfig)
 
-    def __call__(self, maps: Maps, image: PreparedImage) -> Detections:
-        """Return the detections of one image, in pixels of its source."""
+    def __call__(self, maps: Maps, image: PreparedImage, min_line_score: float | None = None) -> Detections:
+        """Return the detections of one image, in pixels of its source.
+
+        Lines may have a score down to `min_line_score`, by default `min_score`.
+        """
+        min_line_score = self.min_score if min_line_score is None else min_line_score
         min_decoded = min(self.min_score, self.chaining.min_segment_score)
         decoded = self.coder.decode(*maps, image.padded_size, min_decoded)
         segments = clip_segments(decoded, image.scaled_size)
@@ -41,12 +45,12 @@ class Postprocessor:
         if self.line_score:
             height, width = image.scaled_size
             rate = partial(
-                self.line_score.rate, image.pixels[:height, :width], maps[0], min_score=self.min_score
+                self.line_score.rate, image.pixels[:height, :width], maps[0], min_score=min_line_score
             )
         chained = chain_segments(
-            segments, self.chaining, max(image.scale, 1.0), rate=rate, min_score=self.min_score
+            segments, self.chaining, max(image.scale, 1.0), rate=rate, min_score=min_line_score
         )
-        return chained.above(self.min_score).scaled_to(image.source_size)
+        return chained.above(self.min_score, min_line_score).scaled_to(image.source_size)
 
 
 def clip_segments(segments: Segments, image_size: tuple[int, int]) -> Segments:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from lsnet.arrays import Floats32, Ints32
+    from lsnet.arrays import Floats32, Ints32, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +94,12 @@ class Lines:
 
     def above(self, min_score: float) -> Lines:
         """Return the lines with a score of at least `min_score`, in the same order."""
-        keep = np.flatnonzero(self.scores >= min_score)
-        return Lines(tuple(self.points[i] for i in keep), self.scores[keep], self.image_size)
+        return self.take(self.scores >= min_score)
+
+    def take(self, is_taken: Mask) -> Lines:
+        """Return the lines (M,) that are taken, in the same order."""
+        points = tuple(self.points[i] for i in np.flatnonzero(is_taken))
+        return Lines(points, self.scores[is_taken], self.image_size)
 
     def pieces(self) -> Segments:
         """Return the straight pieces of all lines, in order, each with the score of its line."""
@@ -134,14 +138,26 @@ class Detections:
         """Return no detections in an image of (height, width)."""
         return cls(Segments.empty(image_size), Lines.empty(image_size))
 
-    def above(self, min_score: float) -> Detections:
-        """Return the segments and the lines whose own score is at least `min_score`, in the same order."""
+    def above(self, min_score: float, min_line_score: float | None = None) -> Detections:
+        """Return the segments and the lines whose own score is at least `min_score`, in the same order.
+
+        The least score of lines is `min_line_score`, if that is given.
+        """
         line_of = self.line_of
         if line_of is not None:
-            is_kept = self.lines.scores >= min_score
-            new_index = np.append(np.where(is_kept, np.cumsum(is_kept) - 1, -1), -1)  # -1 stays -1
-            line_of = new_index.astype(np.int32)[line_of[self.segments.scores >= min_score]]
-        return Detections(self.segments.above(min_score), self.lines.above(min_score), line_of)
+            line_of = line_of[self.segments.scores >= min_score]
+        found = Detections(self.segments.above(min_score), self.lines, line_of)
+        return found.take_lines(
+            self.lines.scores >= (min_score if min_line_score is None else min_line_score)
+        )
+
+    def take_lines(self, is_taken: Mask) -> Detections:
+        """Return all segments, and the lines (M,) that are taken, in the same order."""
+        line_of = self.line_of
+        if line_of is not None:
+            new_index = np.append(np.where(is_taken, np.cumsum(is_taken) - 1, -1), -1)  # -1 stays -1
+            line_of = new_index.astype(np.int32)[line_of]
+        return Detections(self.segments, self.lines.take(is_taken), line_of)
 
     def scaled_to(self, image_size: tuple[int, int]) -> Detections:
         """Return the detections in the pixels of the image resized to (height, width)."""

@@ -22,6 +22,7 @@ from inspect_pipeline.commands.options import (
     StoreOption,
     StrictOption,
     TopicOption,
+    TrackSupportOption,
     ViewOption,
     WeightsOption,
     WireOption,
@@ -102,6 +103,7 @@ def batch(
     runtime: RuntimeOption = "auto",
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
+    track_support: TrackSupportOption = True,
     tag: Annotated[
         list[str] | None,
         typer.Option(parser=_parse_tag, metavar="KEY=VALUE", help="Tag of the run; may be repeated."),
@@ -161,6 +163,7 @@ def batch(
         schema=schema,
         placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
         signals=dict(item.split("=", 1) for item in signals or ()),
+        track_support=track_support,
     )
     threads = threads_of(jobs) if executor == "local" else None
     detector = LoadDetector(weights, scale, min_score, runtime, threads)

@@ -130,6 +130,12 @@ SchemaOption = Annotated[
     SchemaName,
     typer.Option(help="Format of the annotations; auto: ROS 2 messages in ROS 2 bags, else protobuf."),
 ]
+TrackSupportOption = Annotated[
+    bool,
+    typer.Option(
+        "--track-support/--no-track-support", help="Let tracks decide on lines near the minimum score."
+    ),
+]
 GroundAltOption = Annotated[
     float | None,
     typer.Option(

@@ -25,6 +25,7 @@ from inspect_pipeline.commands.options import (
     StoreOption,
     StrictOption,
     TopicOption,
+    TrackSupportOption,
     ViewOption,
     WeightsOption,
     WireOption,
@@ -83,6 +84,7 @@ def process(
     device: DeviceOption = None,
     scale: ScaleOption = None,
     min_score: MinScoreOption = None,
+    track_support: TrackSupportOption = True,
 ) -> None:
     """Find the lines in recordings and index them.
 
@@ -114,6 +116,7 @@ def process(
         placing=PlacingOptions(ground_alt, view, wire / 1000, dem),
         allow_empty=yes,
         signals=dict(item.split("=", 1) for item in signals or ()),
+        track_support=track_support,
     )
     the_store = open_store(store, create=True)
     existing, exit_code = existing_files(files)

@@ -52,12 +52,13 @@ class FoundSegments(NamedTuple):
 
 
 class FoundLines(NamedTuple):
-    """The lines of a frame, and the track of each (N,)."""
+    """The lines of a frame, the track of each (N,), and the score of that track, NaN where unknown."""
 
     channel_id: int
     frame_idx: int
     lines: Lines
     track_ids: Ints32
+    track_scores: Floats32
 
 
 class FoundSignals(NamedTuple):
@@ -113,6 +114,7 @@ def line_columns(batches: Sequence[FoundLines]) -> tuple[Columns, Columns]:
         "length_px": np.array([np.hypot(*np.diff(p, axis=0).T).sum() for p in points], np.float32),
         "score": np.concatenate([batch.lines.scores for batch in batches]),
         "track_id": np.concatenate([batch.track_ids for batch in batches]),
+        "track_score": np.concatenate([batch.track_scores for batch in batches]),
     }
     flat = np.concatenate(points)
     point_rows = {

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from inspect_pipeline.arrays import Ints32
+    from inspect_pipeline.arrays import Floats32, Ints32
     from inspect_pipeline.index.columns import Columns
     from inspect_pipeline.recording.types import Frame
     from inspect_pipeline.tracking.tracker import TrackRow
@@ -66,7 +66,8 @@ SELECT $flight_id AS flight_id, * REPLACE (if(line_idx < 0, NULL, line_idx) AS l
 """
 _INSERT_LINES = """
 INSERT INTO lines BY NAME
-SELECT $flight_id AS flight_id, l.* EXCLUDE (row_idx), p.points
+SELECT $flight_id AS flight_id,
+       l.* EXCLUDE (row_idx) REPLACE (if(isnan(track_score), NULL, track_score) AS track_score), p.points
 FROM line_rows AS l
 JOIN (
     SELECT row_idx, list(struct_pack(x := x, y := y) ORDER BY point_idx) AS points
@@ -139,6 +140,7 @@ class FlightWriter:
         frame: Frame,
         detections: Detections | None,
         track_ids: Ints32 | None = None,
+        track_scores: Floats32 | None = None,
         *,
         infer_ms: float | None = None,
         sharpness: float | None = None,
@@ -152,6 +154,7 @@ class FlightWriter:
             frame: The frame; its pixels are not read.
             detections: None exactly where `frame.error` is given.
             track_ids: The track of each line (N,), or None where lines were not tracked.
+            track_scores: The score of the track of each line (N,), NaN or None where unknown.
             infer_ms: Inference time.
             sharpness: Variance of the Laplacian of the luma.
             mean_luma: 0 to 255.
@@ -163,7 +166,7 @@ class FlightWriter:
         """
         if (detections is None) == (frame.error is None):
             raise ValueError(f"frame {frame.frame_idx}: either detections or an error")
-        height, width = frame.image.shape[:2] if frame.image is not None else (0, 0)
+        height, width = detections.segments.image_size if detections else (0, 0)
         n_segments, n_lines = (len(detections.segments), len(detections.lines)) if detections else (0, 0)
         identity = (frame.channel_id, frame.frame_idx)
         times = (frame.log_time_ns, frame.stamp_ns)
@@ -178,7 +181,9 @@ class FlightWriter:
             self._segments.append(FoundSegments(*identity, detections.segments, line_of))
         if detections and n_lines:
             track_ids = np.full(n_lines, -1, np.int32) if track_ids is None else track_ids
-            self._lines.append(FoundLines(*identity, detections.lines, track_ids))
+            if track_scores is None:
+                track_scores = np.full(n_lines, np.nan, np.float32)
+            self._lines.append(FoundLines(*identity, detections.lines, track_ids, track_scores))
         if signals:
             self._signals.append(FoundSignals(*identity, signals))
         self._n_waiting += 1 + n_segments + n_lines + len(signals)

@@ -41,7 +41,7 @@ FROZEN = {
     "0002_runs.sql": "afd24f9c8e64f3b6354f978b03861af96164dd7d3a94304a5cdbd2ef28f4b474",
     "0003_inspection.sql": "e14853becf2b2686d5994ff6f28077bf7ebd768b5a4e127407b4442e449c24d6",
 }
-RESULT_COLUMNS = (2, "cecd9c1ef6fe1eabcc4a47d1fb0fbf503e18e7f04511c6dc47e34ca24d04289b")
+RESULT_COLUMNS = (3, "6f90d909ef2f7792370bdb46a4b2291aab94093ee41c2423e6e62ab87a99b65d")
 
 
 @pytest.fixture(params=OLD_STORES, ids=lambda path: path.name)

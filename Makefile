@@ -95,6 +95,8 @@ bench: $(INSTALLED)
 
 bench-tracks: $(INSTALLED)
 	$(BIN)/python benchmarks/bench_tracks.py
+	PYTHONPATH=. $(BIN)/python benchmarks/bench_track_support.py $(if $(GROUND),--ground $(GROUND)) \
+	  $(if $(WIRE_FREE),--wire-free $(WIRE_FREE))
 
 # MATRIX=full for harder flights; SEEDS=2 DRAWN=0 CLEAN=6 FLIGHTS=0 for a look of some minutes
 SEEDS ?= 20

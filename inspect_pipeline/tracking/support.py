@@ -5,9 +5,9 @@
         support.add(frame, lines, pose)     # candidates included; once for each frame, in time order
     support.judge(frame, lines)             # once the frames of the next two seconds are added
 
-A track is as good as its lines in the other frames nearby. Where it has at least two of them, their mean odds
-decide on a doubtful line: a faint line on a good track is reported, and a line that only just reaches the
-threshold on a track that mostly does not is left out. All other lines are judged by their own score.
+A track is as good as its lines in the other frames nearby. Where it has at least three of them, their mean
+odds decide on a doubtful line: a faint line on a good track is reported, and a line that only just reaches
+the threshold on a track that mostly does not is left out. All other lines are judged by their own score.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 REACH_NS = 2_000_000_000  # before and after a frame
 MOST_FRAMES = 128  # that wait to be judged, however many a second
 _DOUBTFUL = (0.6, 1.2)  # times the least score
-_MIN_LINES = 2  # of a track, in other frames
+_MIN_LINES = 3  # of a track, in other frames
 _LEAST_DOUBT = 0.01  # keeps odds finite
 
 

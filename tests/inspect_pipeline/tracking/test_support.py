@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,33 +47,33 @@ def scores(frames: list[ProcessedFrame]) -> list[list[float]]:
 
 
 def test_a_faint_line_on_a_good_track_is_reported() -> None:
-    judged = judge(found((100, 0.8)), found((100, 0.35)), found((100, 0.6)))
-    assert scores(judged) == [[0.8], [0.35], [0.6]]
-    odds = math.sqrt(4 * 1.5)  # the geometric mean of those of 0.8 and 0.6
+    judged = judge(found((100, 0.8)), found((100, 0.35)), found((100, 0.6)), found((100, 0.7)))
+    assert scores(judged) == [[0.8], [0.35], [0.6], [0.7]]
+    odds = (4 * 1.5 * 7 / 3) ** (1 / 3)  # the geometric mean of those of 0.8, 0.6 and 0.7
     assert judged[1].track_scores == pytest.approx([odds / (1 + odds)])
-    alone = judge(found((100, 0.35)), found((100, 0.8)), found((300, 0.35)))
-    assert scores(alone) == [[], [0.8], []]  # one other line is not enough
+    alone = judge(found((100, 0.35)), found((100, 0.8)), found((100, 0.8)), found((300, 0.35)))
+    assert scores(alone) == [[], [0.8], [0.8], []]  # two other lines are not enough
     assert np.isnan(alone[1].track_scores).all()
 
 
+def on_one_track(*line_scores: float) -> list[Detections]:
+    return [found((100, score)) for score in line_scores]
+
+
 def test_a_line_just_above_the_threshold_on_a_faint_track_is_left_out() -> None:
-    assert scores(judge(found((100, 0.4)), found((100, 0.55)), found((100, 0.42)))) == [[], [], []]
-    assert scores(judge(found((100, 0.35)), found((100, 0.61)), found((100, 0.38)))) == [[], [0.61], []]
-    assert scores(judge(found((100, 0.9)), found((100, 0.2)), found((100, 0.9)))) == [[0.9], [], [0.9]]
+    assert scores(judge(*on_one_track(0.4, 0.55, 0.42, 0.4))) == [[], [], [], []]
+    assert scores(judge(*on_one_track(0.35, 0.61, 0.38, 0.4))) == [[], [0.61], [], []]
+    assert scores(judge(*on_one_track(0.9, 0.2, 0.9, 0.9))) == [[0.9], [], [0.9], [0.9]]
 
 
 def test_only_frames_nearby_count() -> None:
-    far = REACH_NS + PERIOD_NS
-    assert scores(judge(*[found((100, s)) for s in (0.8, 0.35, 0.8)], period_ns=far)) == [[0.8], [], [0.8]]
-    assert scores(judge(*[found((100, s)) for s in (0.8, 0.35, 0.8)], period_ns=REACH_NS)) == [
-        [0.8],
-        [0.35],
-        [0.8],
-    ]
+    lines = on_one_track(0.8, 0.35, 0.8, 0.8)
+    assert scores(judge(*lines, period_ns=REACH_NS // 2)) == [[0.8], [0.35], [0.8], [0.8]]
+    assert scores(judge(*lines, period_ns=REACH_NS // 2 + PERIOD_NS)) == [[0.8], [], [0.8], [0.8]]
 
 
 def test_segments_keep_their_lines() -> None:
-    judged = judge(found((100, 0.8)), found((400, 0.35), (100, 0.45)), found((100, 0.8)))
+    judged = judge(found((100, 0.8)), found((400, 0.35), (100, 0.45)), *on_one_track(0.8, 0.8))
     middle = judged[1].detections
     assert middle is not None
     assert middle.lines.points[0][0].tolist() == [0, 100]

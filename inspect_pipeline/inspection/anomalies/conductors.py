@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
-_MIN_APART = 2.0  # times aligned_px: nearer conductors are not compared
+_MIN_APART, _MIN_APART_SD = 2.0, 4.0  # times aligned_px, or the noise: nearer conductors are not compared
 _MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part in metres
 _MEDIAN_TO_SD = 1.4826
 _MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
@@ -93,10 +93,12 @@ def _distances_m(first: SpanConductor, second: SpanConductor, one: SpanEvidence,
     places = one.places[first.number], one.places[second.number]
     appear = [one.sight.appear_at(each.across_m, each.raised_m, each.sag_m)[frame, bins] for each in places]
     expected_m = np.abs(appear[0] - appear[1])
+    scale_px = one.sight.scale_px[frame, bins]
     real_m = float(
         np.hypot(*(getattr(places[0], n) - getattr(places[1], n) for n in ("across_m", "raised_m")))
     )
-    apart = expected_m * one.sight.scale_px[frame, bins] >= _MIN_APART * rules.anomalies["aligned_px"]
+    least_px = np.maximum(rules.anomalies["aligned_px"], _MIN_APART_SD * one.sight.noise_m * scale_px)
+    apart = expected_m * scale_px >= _MIN_APART * least_px
     ratio = np.abs(first.across_m[i] - second.across_m[j])[apart] / expected_m[apart]
     return _median_by_bin(real_m * ratio, bins[apart], n_bins, rules)
 

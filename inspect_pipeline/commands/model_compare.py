@@ -49,6 +49,12 @@ ThinnerOption = Annotated[
     typer.Option(min=1, max=4, metavar="N", help="Divide the channels of the paper's networks by 1, 2 or 4."),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to train. Default: a GPU if torch can use one.")]
+MethodOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME", help="Train only this beside LS-Net, named as in the table; may be repeated."
+    ),
+]
 ThreadsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Threads of the training process.")]
 WorkersOption = Annotated[int, typer.Option(min=0, metavar="N", help="Processes that draw images.")]
 
@@ -65,6 +71,7 @@ def compare(
     batch_size: BatchOption = 4,
     crop: CropOption = 192,
     seeds: SeedsOption = 1,
+    method: MethodOption = None,
     thinner: ThinnerOption = 4,
     device: DeviceOption = Device.AUTO,
     threads: ThreadsOption = 1,
@@ -96,6 +103,10 @@ def compare(
     of_rivals = what == CompareWhat.RIVALS
     if of_rivals and chart:
         raise LSNetError("the chart is of the sizes of networks; leave out --chart or --what rivals")
+    if method and not of_rivals:
+        raise LSNetError(
+            "networks of several sizes have no methods; leave out --method, or add --what rivals"
+        )
     comparison = Comparison(
         run,
         tuple(background or ()),
@@ -107,11 +118,11 @@ def compare(
         device=device.value,
         threads=threads,
     )
-    count = count_rivals(seeds) if of_rivals else len(NETWORKS)
+    count = count_rivals(seeds, method or ()) if of_rivals else len(NETWORKS)
     with progress_bar("compare", count * steps) as advance:
         trainings = Trainings(comparison, workers=workers, report=advance)
         if of_rivals:
-            methods = compare_rivals(trainings, thinner, seeds)
+            methods = compare_rivals(trainings, thinner, seeds, method or ())
             lines = [json.dumps(asdict(row)) for row in methods] if as_json else method_tables(methods)
         else:
             networks = compare_networks(trainings, NETWORKS)
@@ -139,6 +150,7 @@ def ablate(
     batch_size: BatchOption = 8,
     crop: CropOption = 256,
     seeds: SeedsOption = 3,
+    method: MethodOption = None,
     thinner: ThinnerOption = 4,
     device: DeviceOption = Device.AUTO,
     threads: ThreadsOption = 1,
@@ -182,8 +194,9 @@ def ablate(
             device=device.value,
             threads=threads,
         )
-        with progress_bar("ablate", ablation.count_trainings(seeds, names) * steps) as advance:
+        only = method or ()
+        with progress_bar("ablate", ablation.count_trainings(seeds, names, only) * steps) as advance:
             trainings = Trainings(comparison, workers=workers, report=advance)
-            rows = ablation.ablate(trainings, ablation.thin_paper(thinner), seeds, names)
+            rows = ablation.ablate(trainings, ablation.thin_paper(thinner), seeds, names, only)
     for line in [json.dumps(asdict(row)) for row in rows] if as_json else method_tables(rows):
         typer.echo(line)

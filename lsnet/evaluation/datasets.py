@@ -7,6 +7,7 @@ anything else               images all with or all without lines: the share with
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
 import cv2
@@ -50,6 +51,17 @@ def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTru
     Raises:
         LSNetError: The file of the truth is missing or has another size.
     """
+    mask = load_mask(kind, image, image_size)
+    return _from_contours(mask) if kind == "contours" else _from_mask(mask)
+
+
+@lru_cache(maxsize=256)  # for the methods of a comparison, which are scored one after the other
+def load_mask(kind: Kind, image: Path, image_size: tuple[int, int]) -> Mask:
+    """Load the pixels of the cables of an image, as `load_truth` does.
+
+    Raises:
+        LSNetError: As of `load_truth`.
+    """
     path = image.with_name(f"{image.stem}.boundary.png") if kind == "contours" else _mask_of(image)
     try:
         drawn = np.asarray(load_rgb(path).max(axis=2) > 0)
@@ -57,7 +69,7 @@ def load_truth(kind: Kind, image: Path, image_size: tuple[int, int]) -> PixelTru
         raise LSNetError(f"{path}: missing or not an image; every image of the set needs its truth") from err
     if drawn.shape != image_size:
         raise LSNetError(f"{path}: not the size of its image; give a truth as large as {image.name}")
-    return _from_contours(drawn) if kind == "contours" else _from_mask(drawn)
+    return cable_mask(drawn) if kind == "contours" else drawn
 
 
 def _mask_of(image: Path) -> Path:
@@ -81,9 +93,8 @@ def _from_mask(mask: Mask) -> PixelTruth:
     return PixelTruth(mask, _skeleton(mask), np.asarray(half, np.float32))
 
 
-def _from_contours(contours: Mask) -> PixelTruth:
-    """Fill the cables between their contours; prune the skeleton where the cable is thin for its place."""
-    mask = cable_mask(contours)
+def _from_contours(mask: Mask) -> PixelTruth:
+    """Prune the skeleton where the cable, filled between its contours, is thin for its place."""
     centreline = _skeleton(np.pad(mask, 8, mode="edge"))[8:-8, 8:-8]
     half = cv2.distanceTransform(np.pad(mask, 1, mode="edge").astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     widest_near = cv2.dilate(half, np.ones((9, 9)))

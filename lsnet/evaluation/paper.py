@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from lsnet.evaluation.datasets import images_of, load_truth
+from lsnet.evaluation.datasets import images_of, load_mask
 from lsnet.evaluation.metrics import rates
 from lsnet.evaluation.pixels import segments_of
 from lsnet.evaluation.rasterize import SIGMA_PX, confidence_map, otsu_mask, smoothed
@@ -153,7 +153,7 @@ def _score(
     counts = np.zeros((len(files), len(protocol.ways), 4), np.int64)
     for i, path in enumerate(files):
         image = load_rgb(path)
-        mask = load_truth(kind, path, image.shape[:2]).mask
+        mask = load_mask(kind, path, image.shape[:2])
         for k, predicted in enumerate(masks_of(image)):
             right = int((predicted & mask).sum())
             counts[i, k] = right, predicted.sum(), right, mask.sum()

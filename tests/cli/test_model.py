@@ -216,13 +216,13 @@ def test_ablate_prints_the_figures_of_the_paper_beside(tmp_path: Path) -> None:
 
 
 def test_ablate_trains_in_the_folder_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trainings, "VALIDATION_IMAGES", 1)
+    monkeypatch.setattr(trainings, "VALIDATION_IMAGES", 4)
     monkeypatch.setattr("lsnet.evaluation.compare.ablation.thin_paper", lambda _thinner: TINY)
     size = ("--images", 1, "--steps", 1, "--batch-size", 1, "--crop", 64, "--seeds", 1, "--workers", 0)
     words = ("ablate", write_masks(tmp_path / "m"), "--run", "run", "--what", "classification")
     result = run(*words, *size, "--device", "cpu")
     assert (result.exit_code, result.stderr) == (0, "")
-    assert [row.split(" | ")[0] for row in result.stdout.splitlines()[2:]] == ["| LS-Net-CE", "| LS-Net-FL"]
+    assert [row.split(" | ")[0] for row in result.stdout.splitlines()[2::2]] == ["| LS-Net-CE", "| LS-Net-FL"]
     assert run(*words, *size, "--device", "cpu").stdout == result.stdout
 
 
@@ -232,6 +232,7 @@ def test_ablate_trains_in_the_folder_of_a_run(tmp_path: Path, monkeypatch: pytes
         ((), "give --run to train, or --weights"),
         (("--run", "run", "--weights", "fast"), "give --run to train, or --weights"),
         (("--weights", "fast", "--what", "regression"), "only the ablation of the grids needs no training"),
+        (("--run", "run", "--method", "wing"), "no method 'wing' to train; choose of LS-Net-P"),
     ],
 )
 def test_unusable_ablations_are_one_line(arguments: tuple[str, ...], message: str) -> None:

@@ -111,30 +111,63 @@ def thin_paper(thinner: int) -> LSNetConfig:
     return replace(network, stage_channels=channels, head_channels=network.head_channels // thinner)
 
 
+def chosen(names: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Return the known methods of these names; all of them for none. Raises LSNetError for another name."""
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise LSNetError(f"no method {unknown[0]!r} to train; choose of {', '.join(known)}")
+    return [name for name in known if not names or name in names]
+
+
+def methods_of(what: Sequence[str], only: Sequence[str] = ()) -> list[tuple[str, Method]]:
+    """Return the methods of some ablations, with the ablation.
+
+    Args:
+        what: Ablations.
+        only: Of the methods that need a training of their own, these; all of them for none.
+
+    Raises:
+        LSNetError: No method of these ablations has such a name.
+    """
+    methods = [(name, method) for name in what for method in ABLATIONS[name]]
+    kept = chosen(only, [method.name for _, method in methods if method.network or method.loss])
+    return [(name, m) for name, m in methods if m.name in kept or not (m.network or m.loss)]
+
+
 def ablate(
-    trainings: Trainings, network: LSNetConfig, seeds: int, what: Sequence[str] = tuple(ABLATIONS)
+    trainings: Trainings,
+    network: LSNetConfig,
+    seeds: int,
+    what: Sequence[str] = tuple(ABLATIONS),
+    only: Sequence[str] = (),
 ) -> list[AblationRow]:
     """Train the methods of some ablations with several seeds, where there is no result yet.
 
     LS-Net itself is in all four and is trained once; that is also what is scored with some of its grids.
 
+    Args:
+        trainings: The drawn set and the results so far.
+        network: LS-Net itself.
+        seeds: Trainings of each method.
+        what: Ablations.
+        only: As in `methods_of`.
+
     Raises:
-        LSNetError: As of `Trainings.score`.
+        LSNetError: As of `Trainings.score` and `methods_of`.
     """
-    rows = []
-    for name in what:
-        for method in ABLATIONS[name]:
-            found = [_score(trainings, network, method, seed) for seed in range(seeds)]
-            rows += [
-                AblationRow(name, method.name, folder, [scores[folder] for scores in found], method.published)
-                for folder in found[0]
-            ]
+    rows: list[AblationRow] = []
+    for name, method in methods_of(what, only):
+        found = [_score(trainings, network, method, seed) for seed in range(seeds)]
+        rows += [
+            AblationRow(name, method.name, folder, [scores[folder] for scores in found], method.published)
+            for folder in found[0]
+        ]
     return rows
 
 
-def count_trainings(seeds: int, what: Sequence[str]) -> int:
+def count_trainings(seeds: int, what: Sequence[str], only: Sequence[str] = ()) -> int:
     """Return how often `ablate` asks for a trained network."""
-    return seeds * sum(len(ABLATIONS[name]) for name in what)
+    return seeds * len(methods_of(what, only))
 
 
 def _score(trainings: Trainings, network: LSNetConfig, method: Method, seed: int) -> dict[str, list[float]]:
@@ -142,7 +175,7 @@ def _score(trainings: Trainings, network: LSNetConfig, method: Method, seed: int
         with_options(network, [method.network] if method.network else []),
         with_options(MultiTaskLoss(), [method.loss] if method.loss else []),
     )
-    sets = trainings.comparison.sets
+    sets = trainings.sets
     # LS-Net itself is scored with all combinations of its grids at once.
     shown = [m.grids for m in ABLATIONS["grids"]] if task == LSNetTask(network) else [method.grids]
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
-from lsnet.files import make_folder
+from lsnet.evaluation.baselines.wd_dcnn import LINE_PX, drawn_lines
+from lsnet.files import make_folder, write_png
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.dataset import Sample, SyntheticScenes
 
@@ -76,6 +77,30 @@ def _save_lines(path: Path, lines: list[list[Floats]]) -> None:
         image=np.array([i for i, _ in flat], int),
     )
     os.replace(partial, path)  # noqa: PTH105
+
+
+def write_held_out(folder: Path, first: int) -> Path:
+    """Write the images of a set from `first` on as an evaluation set, unless it exists; return its folder.
+
+    They are of the kind that is trained on, so networks differ on them by what they learned, and not by what
+    real photographs have besides. The true pixels are the centrelines, `LINE_PX` wide. Images without lines,
+    on which a network that finds nothing is right, are left out.
+
+    Raises:
+        LSNetError: The folder cannot be written.
+    """
+    held_out = folder / "held_out"
+    for name in ("images", "masks"):
+        make_folder(held_out / name)
+    crops = Crops.of(folder, first, 0, size=0, seed=0)
+    for which in range(first, len(crops.images)):
+        truth = held_out / "masks" / f"{which:06d}.png"
+        mask = drawn_lines(crops.lines[which], crops.images.shape[1:3], LINE_PX)
+        if truth.exists() or not mask.any():
+            continue
+        write_png(held_out / "images" / truth.name, crops.images[which])
+        write_png(truth, np.repeat(mask[..., None], 3, axis=2).astype(np.uint8) * 255)
+    return held_out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

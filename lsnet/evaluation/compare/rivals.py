@@ -13,7 +13,7 @@ from lsnet.evaluation.baselines.hough import Hough
 from lsnet.evaluation.baselines.learned import RIVALS, LearnedRival, rival_task
 from lsnet.evaluation.baselines.lsd import LSD
 from lsnet.evaluation.baselines.wsl_cnn import WSLCNNConfig
-from lsnet.evaluation.compare.ablation import AblationRow, Published, thin_paper
+from lsnet.evaluation.compare.ablation import AblationRow, Published, chosen, thin_paper
 from lsnet.evaluation.compare.compare import grids_of
 from lsnet.evaluation.compare.trainings import Trainings, Variant
 from lsnet.evaluation.paper import COMPARED, PaperProtocol, evaluate_as_paper, evaluate_pixels_as_paper
@@ -49,17 +49,24 @@ def thinned(config: WDDCNNConfig | WSLCNNConfig, thinner: int) -> WDDCNNConfig |
     return replace(config, channels=config.channels // thinner)
 
 
-def compare_rivals(trainings: Trainings, thinner: int, seeds: int) -> list[AblationRow]:
+def rivals_of(only: Sequence[str] = ()) -> list[str]:
+    """Return the presets of the rivals of these names as in the table; all for none. Raises LSNetError."""
+    return [name.lower() for name in chosen(only, [preset.upper() for preset in RIVALS])]
+
+
+def compare_rivals(
+    trainings: Trainings, thinner: int, seeds: int, only: Sequence[str] = ()
+) -> list[AblationRow]:
     """Train LS-Net and its rivals with several seeds, where there is no result yet, and score all.
 
     Raises:
-        LSNetError: As of `Trainings.score`.
+        LSNetError: As of `Trainings.score` and `rivals_of`.
     """
-    sets = trainings.comparison.sets
+    sets = trainings.sets
     found: dict[str, list[dict[str, Any]]] = {}
     for seed in range(seeds):
-        for preset, config in RIVALS.items():
-            variant = Variant(preset.upper(), rival_task(thinned(config, thinner)), seed)
+        for preset in rivals_of(only):
+            variant = Variant(preset.upper(), rival_task(thinned(RIVALS[preset], thinner)), seed)
             scores = trainings.score(variant, "comparison", lambda net: _pixel_scores(net, sets)).scores
             found.setdefault(variant.name, []).append(scores)
         lsnet = Variant("LS-Net", LSNetTask(thin_paper(thinner)), seed)
@@ -78,9 +85,9 @@ def compare_rivals(trainings: Trainings, thinner: int, seeds: int) -> list[Ablat
     ]
 
 
-def count_rivals(seeds: int) -> int:
+def count_rivals(seeds: int, only: Sequence[str] = ()) -> int:
     """Return how often `compare_rivals` asks for a trained network."""
-    return seeds * (len(RIVALS) + 1)
+    return seeds * (len(rivals_of(only)) + 1)
 
 
 def _pixel_scores(net: nn.Module, sets: Sequence[Path]) -> dict[str, list[float]]:

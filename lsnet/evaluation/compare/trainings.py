@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from lsnet.errors import LSNetError
-from lsnet.evaluation.compare.data import DRAWN_PX, Crops, draw_set
+from lsnet.evaluation.compare.data import DRAWN_PX, Crops, draw_set, write_held_out
 from lsnet.evaluation.datasets import images_of
 from lsnet.files import digest_of, make_folder
 from lsnet.synth.backgrounds import BackgroundFolder
@@ -103,7 +103,7 @@ class Trainings:
         workers: int = 1,
         report: Callable[[str, int], None] = lambda _task, _step: None,
     ) -> None:
-        """Draw the set, unless it exists.
+        """Draw the set, unless it exists, and keep its last images for evaluation.
 
         Args:
             comparison: What is compared.
@@ -120,7 +120,6 @@ class Trainings:
         photos = [digest_of(folder.files()) for folder in folders]
         self._set_digest = _digest([photos, count, DRAWN_PX, comparison.seed])
         self.drawn = comparison.folder / f"set-{self._set_digest}"
-        self._scored_on = _digest([_digest_of_set(folder) for folder in comparison.sets])
         draw_set(
             self.drawn,
             comparison.backgrounds,
@@ -129,6 +128,8 @@ class Trainings:
             workers=workers,
             on_image=lambda: report("draw", 0),
         )
+        self.sets = (*comparison.sets, write_held_out(self.drawn, comparison.images))
+        self._scored_on = _digest([_digest_of_set(folder) for folder in self.sets])
 
     def run_of(self, variant: Variant) -> Path:
         """Return the folder of the run of a variant: a digest of all that its weights depend on."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from evaluation_sets import write_masks
 
+from lsnet import LSNetError
 from lsnet.evaluation.baselines import learned
 from lsnet.evaluation.baselines.wd_dcnn import WDDCNNConfig
 from lsnet.evaluation.baselines.wsl_cnn import WSLCNNConfig
@@ -26,6 +27,7 @@ from lsnet.evaluation.compare.ablation import (
 )
 from lsnet.evaluation.compare.table import method_tables
 from lsnet.evaluation.compare.trainings import Comparison, Trainings
+from lsnet.images import load_rgb
 from lsnet.network_config import PRESETS, LSNetConfig
 from lsnet.segments import Detections, Lines, Segments
 
@@ -66,17 +68,42 @@ def test_thin_networks_keep_the_table_of_the_paper() -> None:
 
 def test_every_method_of_the_ablations_is_trained_and_scored(trainings: Trainings) -> None:
     rows = ablate(trainings, THIN, seeds=1)
-    assert len(rows) == sum(len(methods) for methods in ABLATIONS.values())
+    assert len(rows) == 2 * sum(
+        len(methods) for methods in ABLATIONS.values()
+    )  # the set, and held-out images
     assert all(np.shape(row.values) == (1, 3) for row in rows)
     trained = list((trainings.comparison.folder / "runs").iterdir())
     assert len(trained) == 1 + 1 + 3 + 1  # LS-Net, pooling, three regression losses, cross-entropy
-    assert count_trainings(2, list(ABLATIONS)) == 2 * len(rows)
+    assert count_trainings(2, list(ABLATIONS)) == len(rows)
     lines = method_tables(rows)
     assert lines.count("") == 3
     assert lines[0] == "| downsample | set | APR | ARR | F1 | paper: APR | ARR | F1 |"
-    assert lines[3].startswith("| LS-Net-S | masked | ")
-    assert lines[3].endswith(" | 0.8004 | 0.5368 | 0.5940 |")
+    assert lines[4].startswith("| LS-Net-S | masked | ")
+    assert lines[5].startswith("| LS-Net-S | held_out | ")
+    assert lines[5].endswith(" | 0.8004 | 0.5368 | 0.5940 |")
     assert ablate(trainings, THIN, 1, ["grids"]) == [row for row in rows if row.what == "grids"]
+    few = ablate(trainings, THIN, 1, ["regression"], ["LS-Net-1 (L1)"])
+    assert [row.method for row in few[::2]] == ["LS-Net-1 (L1)", "LS-Net-W (Wing)"]
+    with pytest.raises(LSNetError, match="no method 'LS-Net-CE' to train; choose of LS-Net-2"):
+        ablate(trainings, THIN, 1, ["regression"], ["LS-Net-CE"])
+
+
+def test_held_out_images_have_their_lines_as_truth(trainings: Trainings) -> None:
+    images, lines = trainings.drawn / "images.npy", 0
+    for image in sorted((trainings.sets[-1] / "images").iterdir()):
+        which = int(image.stem)
+        assert which >= trainings.comparison.images
+        np.testing.assert_array_equal(load_rgb(image), np.load(images)[which])
+        with np.load(trainings.drawn / "lines.npz") as kept:
+            ends = np.cumsum(kept["counts"])
+            of_image = [kept["points"][e - n : e] for e, n in zip(ends, kept["counts"], strict=True)]
+            owners = kept["image"]
+        mask = load_rgb(image.parent.parent / "masks" / image.name)[..., 0] > 0
+        inside = [p for k, line in zip(owners, of_image, strict=True) if k == which for p in line]
+        for x, y in (p for p in inside if ((p > 1) & (p < 126)).all()):
+            assert mask[int(y), int(x)]
+            lines += 1
+    assert lines
 
 
 def test_several_seeds_have_a_mean_and_a_deviation() -> None:
@@ -122,8 +149,9 @@ def test_every_rival_is_trained_and_scored(trainings: Trainings, monkeypatch: py
     monkeypatch.setattr(rivals, "thinned", lambda config, _thinner: config)
     monkeypatch.setattr(rivals, "thin_paper", lambda _thinner: THIN)
     rows = rivals.compare_rivals(trainings, 4, seeds=1)
-    assert [row.method for row in rows] == [*rivals.PUBLISHED, *rivals.UNTRAINED]
-    by_name = {row.method: row for row in rows}
+    assert [row.method for row in rows[::2]] == [*rivals.PUBLISHED, *rivals.UNTRAINED]
+    assert rivals.rivals_of(["WD-DCNN-GN"]) == ["wd-dcnn-gn"]
+    by_name = {row.method: row for row in rows[::2]}
     assert by_name["LS-Net-W2"].published.f1 == 0.5344
     assert by_name["LSD, 2 px"].values[0][1] > 0  # of its edges some are in the band
     assert all(0 <= value <= 1 for row in rows for value in row.values[0])

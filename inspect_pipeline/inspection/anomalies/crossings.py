@@ -25,11 +25,8 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
 _HEIGHT_STEP_M = 1.5
-_MAX_TURN_DEG, _MAX_AWAY_M, _AWAY_SD = (
-    6.0,
-    0.7,
-    1.5,
-)  # of two that coincide; more by errors of positions
+_MAX_TURN_DEG, _MAX_AWAY_M = 6.0, 0.7  # of two that coincide
+_AWAY_SD = 1.5  # times the errors of positions: so much farther away they may be
 _MIN_LENGTH_M, _MAX_RANGE_M = 1.0, 80.0
 _MAX_PIECES = 600
 _SHOWN_M = np.array([-2.0, 0.0, 2.0])  # from the middle of a line: points that a frame should show
@@ -88,7 +85,7 @@ def find_crossings_of_span(one: SpanEvidence, origin: LocalMetres, rules: Rules)
         angle_deg,
         limits["min_angle_deg"],
         "deg",
-        track_id=int(np.bincount(found.track).argmax()),
+        track_id=_most_common(found.track),
         span_id=one.axis.span_id,
         place=(float(lat_deg), float(lon_deg)),
     )
@@ -148,6 +145,11 @@ def _most_alike(planes: Sequence[_Pieces], shift_sd_m: float) -> _Pieces | None:
         if alike[seed].sum() > most:
             most, best = int(alike[seed].sum()), pieces.take(alike[seed])
     return best
+
+
+def _most_common(tracks: Ints) -> int:
+    ids, counts = np.unique(tracks, return_counts=True)
+    return int(ids[np.argmax(counts)])
 
 
 def _frames_showing(sight: SpanSight, found: _Pieces, rules: Rules) -> tuple[Mask, Mask]:

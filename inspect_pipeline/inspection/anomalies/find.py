@@ -21,7 +21,7 @@ from inspect_pipeline.inspection.anomalies.lines import LINE_RULES
 from inspect_pipeline.inspection.anomalies.on_spans import find_on_spans
 from inspect_pipeline.inspection.judgement import merge_outcomes
 from inspect_pipeline.inspection.poses import find_origin
-from inspect_pipeline.inspection.rows import assess_frames
+from inspect_pipeline.inspection.rows import NO_TRACK, assess_frames
 from inspect_pipeline.inspection.span_evidence import gather_evidence
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def inspect_cameras(cameras: Sequence[CameraRows], spans: Sequence[Span], rules:
             findings += judged[-1].findings
         counts += count_conductors(camera, evidence, rules)
         anomalies += [
-            _to_anomaly(camera.channel_id, camera.frames, one, rules.priority(one.kind))
+            _to_anomaly(camera, one, rules.priority(one.kind))
             for one in findings
             if rules.of(one.kind)["enabled"]
         ]
@@ -139,14 +139,16 @@ def _is_on_span(found: Finding, evidence: Sequence[SpanEvidence]) -> bool:
     return bool(rows) and bool(np.isin(found.rows, np.concatenate(rows)).mean() > _MOSTLY)
 
 
-def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding, priority: Priority) -> Anomaly:
-    rows = np.asarray(found.rows)
+def _to_anomaly(camera: CameraRows, found: Finding, priority: Priority) -> Anomaly:
+    frames, rows = camera.frames, np.asarray(found.rows)
+    # Lines without tracks have numbers that only the rules know.
+    is_tracked = found.track_id != NO_TRACK and found.track_id in camera.lines.track
     evidence = rows[np.unique(np.linspace(0, len(rows) - 1, _MAX_EVIDENCE).round().astype(int))]
     first, last = int(rows[0]), int(rows[-1])
     lat_deg, lon_deg = found.place or (frames.lat_deg[first], frames.lon_deg[first])
     return Anomaly(
         kind=found.kind,
-        channel_id=channel_id,
+        channel_id=camera.channel_id,
         reason=found.reason,
         value=float(found.value),
         threshold=float(found.threshold),
@@ -156,7 +158,7 @@ def _to_anomaly(channel_id: int, frames: FrameRows, found: Finding, priority: Pr
         evidence_frames=tuple(frames.frame_idx[evidence].tolist()),
         start_ns=int(frames.log_time_ns[first]),
         end_ns=int(frames.log_time_ns[last]),
-        track_id=found.track_id,
+        track_id=found.track_id if is_tracked else None,
         span_id=found.span_id,
         lat_deg=float(lat_deg) if np.isfinite(lat_deg) else None,
         lon_deg=float(lon_deg) if np.isfinite(lon_deg) else None,

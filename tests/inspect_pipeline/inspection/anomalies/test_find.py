@@ -14,7 +14,7 @@ from inspect_pipeline.errors import RulesError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.anomalies.find import Reviewed, find_anomalies, inspect_cameras, with_ids
-from inspect_pipeline.inspection.rows import CameraRows, LineRows
+from inspect_pipeline.inspection.rows import NO_TRACK, CameraRows, LineRows
 from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
@@ -145,20 +145,29 @@ def test_lines_that_turn_together_are_an_orientation_jump() -> None:
     assert found(three_lines(40, np.ones((40, 3), bool), slowly), "orientation_jump") == []
 
 
-def test_a_line_across_the_others_is_reported() -> None:
+def with_line_across(rows: np.ndarray) -> CameraRows:
+    """Three lines in forty frames, and one across them in some of these, track 9."""
     camera = three_lines(40, np.ones((40, 3), bool))
-    rows = np.arange(10, 20)
-    across = np.tile([[100.0, 480.0], [900.0, 520.0]], (10, 1))
+    across = np.tile([[100.0, 480.0], [900.0, 520.0]], (len(rows), 1))
     lines = camera.lines
-    frame, track = np.append(lines.frame, rows), np.append(lines.track, np.full(10, 9))
+    frame, track = np.append(lines.frame, rows), np.append(lines.track, np.full(len(rows), 9))
     order = np.argsort(frame, kind="stable")
     points = np.concatenate((lines.points, across)).reshape(-1, 2, 2)[order].reshape(-1, 2)
-    mixed = LineRows(frame[order], track[order], 2 * np.arange(len(frame) + 1), points)
-    (one,) = (
-        a for a in find_anomalies([replace(camera, lines=mixed)], [], RULES) if a.kind == "crossing_line"
-    )
+    return replace(camera, lines=LineRows(frame[order], track[order], 2 * np.arange(len(frame) + 1), points))
+
+
+def test_a_line_across_the_others_is_reported() -> None:
+    camera = with_line_across(np.arange(10, 20))
+    (one,) = (a for a in find_anomalies([camera], [], RULES) if a.kind == "crossing_line")
     assert (one.first_frame_idx, one.last_frame_idx, one.track_id) == (10, 19, 9)
     assert one.value == pytest.approx(87.1, abs=0.2)
+
+
+def test_a_line_across_a_span_needs_no_track() -> None:
+    camera = with_line_across(np.arange(10, 40))
+    untracked = replace(camera.lines, track=np.full(len(camera.lines), NO_TRACK))
+    found = find_anomalies([replace(camera, lines=untracked)], [span(expected=3)], RULES)
+    assert [one.track_id for one in found if one.kind == "crossing_line"] == [None]
 
 
 def test_a_conductor_that_no_span_shows_may_be_hidden() -> None:

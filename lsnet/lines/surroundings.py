@@ -15,9 +15,8 @@ if TYPE_CHECKING:
 
 CELL_PX, DIRECTIONS = 24, 8  # of the histogram in which proposals are counted
 _APART = (np.arange(DIRECTIONS) - np.arange(DIRECTIONS)[:, None]) % DIRECTIONS
-PARALLEL = ((_APART <= 1) | (_APART == DIRECTIONS - 1)).astype(
-    float
-)  # directions that count as those of each
+# Directions that count as those of each.
+PARALLEL = ((_APART <= 1) | (_APART == DIRECTIONS - 1)).astype(float)
 PLACE_PX = 8  # between the places of a line that are counted
 
 

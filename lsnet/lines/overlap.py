@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 MAX_ANGLE_DEG = 15.0
 STEP_PX, OTHER_STEP_PX = 3.0, 1.5
-NEAREST = 16  # pieces of other lines that are compared with a piece
+NEAREST = 16  # pieces of other lines that are compared with a piece, for each STEP_PX of reach
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,8 @@ def find_overlaps(lines: Polylines, others: Polylines, reach_px: float) -> Overl
     if not len(places) or not len(middles):
         none = np.zeros(0, np.intp)
         return Overlaps(line_of, none, none, counts)
-    near = np.asarray(cKDTree(places).query(middles, k=NEAREST, distance_upper_bound=reach_px)[1])
+    count = NEAREST * max(1, round(reach_px / STEP_PX))
+    near = np.asarray(cKDTree(places).query(middles, k=count, distance_upper_bound=reach_px)[1])
     pieces, column = np.nonzero(near < len(places))
     found = near[pieces, column]
     is_along = angle_between(other_angles[found], angles[pieces]) <= np.radians(MAX_ANGLE_DEG)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from lsnet.lines.overlap import find_overlaps
+from lsnet.lines.polylines import Polylines
 from lsnet.scales import levels_of, merge_levels
 from lsnet.segments import Detections, Lines, Segments
 
@@ -64,3 +66,10 @@ def test_levels_without_lines_change_nothing() -> None:
         assert len(merged.lines) == 1
         assert merged.line_of.tolist() == [0, 0]
     assert len(merge_levels([none, none], (1.0, 0.5)).lines) == 0
+
+
+def test_a_double_beyond_a_third_line_is_found() -> None:
+    """At the reach of coarse levels, a line and a near one have more pieces nearby than its double."""
+    lines = Polylines.of([np.array([[10.0, y], [400.0, y]]) for y in (50, 54, 58)])
+    shares = find_overlaps(lines, lines, 12.0).shares(np.array([True, False, False]))
+    np.testing.assert_array_equal(shares > 0.9, True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 LAYERS = 3
 LEAST_DOUBT = 0.01  # of the odds of segments
-MAX_LEARNED = 3.75  # logit of the networks for proposals with weak segments: on evaluation images 2.8
+MAX_LEARNED = 3.0  # logit of the networks for proposals with weak segments: on evaluation images 2.8
 MAX_DEVIATIONS = 4.0  # features beyond are cut
 
 

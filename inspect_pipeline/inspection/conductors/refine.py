@@ -252,8 +252,12 @@ def _merge(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
 
 
 def _drop_rare(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:
-    """Drop places that less than half of the spans have: there, a conductor hangs elsewhere than usual."""
-    shown = [one for one in sights if one.fine.any()]
+    """Drop places that less than half of the spans have: there, a conductor hangs elsewhere than usual.
+
+    Spans that the flight only touches have no voice.
+    """
+    n_frames = np.array([int(one.fine.any(axis=1).sum()) for one in sights])
+    shown = [one for one, n in zip(sights, n_frames, strict=True) if n > 0 and 2 * n >= n_frames.max()]
     shares = np.array([frames_with(one, places).sum(axis=0) / one.fine.any(axis=1).sum() for one in shown])
     has = (shares.reshape(len(shown), len(places)) >= _MIN_FRAMES_SHARE).sum(axis=0)
     return [place for place, n_spans in zip(places, has.tolist(), strict=True) if 2 * n_spans >= len(shown)]

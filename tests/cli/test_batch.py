@@ -131,6 +131,7 @@ def test_every_option_can_be_in_the_file(
         dem = "terrain.tif"
         weights = "fast"
         scale = 0.5
+        track-support = false
         min-score = 0.4
         runtime = "torch"
         tag = ["line=L12"]

@@ -16,6 +16,7 @@ import pytest
 
 from inspect_pipeline.errors import RecordingError, StoreBusyError, StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
+from inspect_pipeline.store.records import RESULT_VERSION
 from inspect_pipeline.store.store import Store, store_path
 from inspect_pipeline.tracking.tracker import TrackRow
 from lsnet.segments import Detections, Lines, Segments
@@ -282,7 +283,8 @@ def test_damaged_results_are_no_results(store: Store) -> None:
         assert store.load_flight(flight_id) is None
         found, unreadable = store.scan()
         assert (found, [one.folder for one in unreadable]) == ([], [result.parent])
-    result.write_text(whole.replace('"result_version": 2', '"result_version": 3'))
+    later = f'"result_version": {RESULT_VERSION + 1}'
+    result.write_text(whole.replace(f'"result_version": {RESULT_VERSION}', later))
     with pytest.raises(StoreVersionError, match="upgrade") as caught:
         store.load_flight(flight_id)
     assert caught.value.exit_code == 12

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from inspect_pipeline.annotations.annotator import ROS2_PROFILE, FrameAnnotator, message_format
 from inspect_pipeline.config import DEFAULT_OPTIONS, load_detector, model_record, run_metadata, start_run
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from inspect_pipeline.config import ProcessOptions
     from inspect_pipeline.detection import ProcessedFrame
     from inspect_pipeline.georeference.frames import Georeferencer
+    from inspect_pipeline.georeference.signals import Signals
     from inspect_pipeline.recording.append import AnnotationWriter
     from inspect_pipeline.recording.frames import UndecodedFrame
     from inspect_pipeline.recording.reader import Recording
     from inspect_pipeline.recording.types import CameraChannel
-    from inspect_pipeline.store.records import RunRecord
-
-    Status = Literal["ok", "recovered", "failed"]
+    from inspect_pipeline.store.records import ModelRecord, RunRecord
+    from inspect_pipeline.tracking.flight import FlightTracker
     from lsnet import Detector
 
 _ANNOTATION_FILES = {"copy": ANNOTATED, "sidecar": SIDECAR, "none": None}
@@ -96,7 +96,7 @@ def process(
         run = start_run(detector, options)
     known = store.load_flight(recording.flight_id)
     if known and _is_done(known, run, options):
-        return _to_skipped(_to_result(known, path, store, started))
+        return _to_skipped(ProcessResult.of(known, path, store.flight_dir(known.flight_id), started))
     detector = _load(detector)
     with (
         store.lock_flight(recording.flight_id, on_wait),
@@ -104,7 +104,7 @@ def process(
     ):
         known = store.load_flight(recording.flight_id)  # by a process that held the lock
         if known and _is_done(known, run, options):
-            return _to_skipped(_to_result(known, path, store, started))
+            return _to_skipped(ProcessResult.of(known, path, store.flight_dir(known.flight_id), started))
         record = _write_flight(
             recording,
             cameras,
@@ -118,7 +118,7 @@ def process(
         if known and not options.allow_empty:
             _refuse_empty(path, known, record)
         staging.commit(record)
-    result = _to_result(record, path, store, started)
+    result = ProcessResult.of(record, path, store.flight_dir(record.flight_id), started)
     return replace(result, n_frames_replaced=known.totals.n_frames if known else None)
 
 
@@ -176,46 +176,23 @@ def _write_flight(
         _annotation_writer(recording, folder, options) as out,
         FlightWriter(folder, recording.flight_id) as tables,
     ):
-        annotator = None
-        if out:
-            out.add_metadata(RUN_METADATA, run_metadata(recording.flight_id, run, model))
-            schema = message_format(options.schema, recording.profile)
-            annotator = FrameAnnotator(out, schema, model.score_threshold)
+        annotator = _annotator(out, recording, options, run, model) if out else None
         found_frames = _find_lines(
             frames, detector, georeferencer, options, min_score=model.score_threshold, times=times
         )
         for n_frames, each in enumerate(found_frames, 1):
-            with times.measure("track"):
-                found = each.detections
-                track_ids = tracker.follow(each.frame, found.lines, each.pose) if found else None
-            if annotator:
-                with times.measure("annotate"):
-                    annotator.write(each.frame, found)
-            with times.measure("index"):
-                tables.add_frame(
-                    each.frame,
-                    found,
-                    track_ids,
-                    each.track_scores,
-                    infer_ms=each.infer_ms,
-                    sharpness=each.quality.sharpness if each.quality else None,
-                    mean_luma=each.quality.mean_luma if each.quality else None,
-                    place=each.pose,
-                    signals=signals.at(each.frame.log_time_ns),
-                )
+            _write_frame(each, tracker, annotator, tables, signals=signals, times=times)
             decoded.add(each.frame)
             on_progress(Progress(n_frames, n_expected))
         with times.measure("index"):
             totals = tables.finish(tracker.finish())
-    lost = (*recording.losses, *recording.identity.losses, *frames.losses)
-    lost = (*lost, *georeferencer.poses.losses, *signals.losses)
-    losses = tuple(dict.fromkeys((*lost, *(out.losses if out else ()))))
-    status: Status = "failed" if decoded.failures else "recovered" if losses else "ok"
+    lost = (*recording.losses, *recording.identity.losses, *frames.losses, *georeferencer.poses.losses)
+    losses = tuple(dict.fromkeys((*lost, *signals.losses, *(out.losses if out else ()))))
     return FlightRecord(
         flight_id=recording.flight_id,
         source_uri=recording.path.absolute().as_uri(),
         source_bytes=recording.size_bytes,
-        status=status,
+        status="failed" if decoded.failures else "recovered" if losses else "ok",
         reason=join_phrases((*decoded.failures, *losses)) or None,
         warnings=(
             *recording.warnings,
@@ -231,6 +208,43 @@ def _write_flight(
         channels=tuple(cameras),
         totals=totals,
     )
+
+
+def _annotator(
+    out: AnnotationWriter, recording: Recording, options: ProcessOptions, run: RunRecord, model: ModelRecord
+) -> FrameAnnotator:
+    out.add_metadata(RUN_METADATA, run_metadata(recording.flight_id, run, model))
+    return FrameAnnotator(out, message_format(options.schema, recording.profile), model.score_threshold)
+
+
+def _write_frame(
+    each: ProcessedFrame,
+    tracker: FlightTracker,
+    annotator: FrameAnnotator | None,
+    tables: FlightWriter,
+    *,
+    signals: Signals,
+    times: StageTimes,
+) -> None:
+    """Follow the lines of the next frame, and write its annotations and rows."""
+    found = each.detections
+    with times.measure("track"):
+        track_ids = tracker.follow(each.frame, found.lines, each.pose) if found else None
+    if annotator:
+        with times.measure("annotate"):
+            annotator.write(each.frame, found)
+    with times.measure("index"):
+        tables.add_frame(
+            each.frame,
+            found,
+            track_ids,
+            each.track_scores,
+            infer_ms=each.infer_ms,
+            sharpness=each.quality.sharpness if each.quality else None,
+            mean_luma=each.quality.mean_luma if each.quality else None,
+            place=each.pose,
+            signals=signals.at(each.frame.log_time_ns),
+        )
 
 
 def _find_lines(
@@ -281,20 +295,3 @@ def _expected_frames(cameras: Sequence[CameraChannel], options: ProcessOptions) 
     if options.start_ns is not None or options.end_ns is not None:
         return None
     return sum(-(-count // options.every) for count in counts if count) if all(counts) else None
-
-
-def _to_result(record: FlightRecord, path: Path, store: Store, started: float) -> ProcessResult:
-    folder = store.flight_dir(record.flight_id)
-    return ProcessResult(
-        flight_id=record.flight_id,
-        source=str(path),
-        status=record.status,
-        annotated=folder / record.annotations if record.annotations else None,
-        n_frames=record.totals.n_frames,
-        n_bad_frames=record.totals.n_bad_frames,
-        n_segments=record.totals.n_segments,
-        n_lines=record.totals.n_lines,
-        seconds=round(time.monotonic() - started, 3),
-        reason=record.reason,
-        warnings=record.warnings,
-    )

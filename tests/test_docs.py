@@ -12,16 +12,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from command_line import runner
+from command_line import all_commands, runner
 from fakes import FakeDetector
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from inline_queries import answer_here
 from mcap.reader import make_reader
 
-import cli
 import lsnet
-from inspect_pipeline.commands import index as index_commands
-from inspect_pipeline.commands import model as model_commands
 from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
 if TYPE_CHECKING:
@@ -95,15 +92,17 @@ def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path, fla
     assert (folder / "frame.png").exists()
 
 
-def test_the_query_of_the_readme(run: Callable[..., str]) -> None:
+def test_the_query_of_the_readme(run: Callable[..., str], small_flight: Path) -> None:
     """The columns in the shown output are those the query gives; how many rows and which, the flight says."""
+    run("process", str(small_flight))
     sql, shown = re.search(r"```sql\n([^`]*)```\n\n```\n(.*?)```", README, re.DOTALL).groups()
     printed = run("query", sql)
     assert printed.splitlines()[0].split() == shown.splitlines()[0].split()
     assert f'"{sql.strip()}"' in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
-def test_every_query_of_the_readme_runs(run: Callable[..., str]) -> None:
+def test_every_query_of_the_readme_runs(run: Callable[..., str], small_flight: Path) -> None:
+    run("process", str(small_flight))
     queries = re.findall(r"```sql\n([^`]*)```", README)
     assert len(queries) >= 3
     (named,) = re.findall(r"^lsnet-pipe query (.*)", README, re.MULTILINE)
@@ -113,12 +112,10 @@ def test_every_query_of_the_readme_runs(run: Callable[..., str]) -> None:
 
 
 def test_every_command_is_documented() -> None:
-    groups = {"": cli.app, "index ": index_commands.app, "model ": model_commands.app}
-    for prefix, app in groups.items():
-        for command in app.registered_commands:
-            name = prefix + (command.name or command.callback.__name__)
-            assert re.search(rf"\b{name.split()[-1]}\b", README), name
-            assert f"lsnet-pipe {name}" in CLI or f"`{name.split()[-1]}`" in CLI, name
+    for name in filter(None, all_commands()):
+        words = name.split()
+        assert re.search(rf"\b{words[:2][-1]}\b", README), name
+        assert name in CLI or f"`{words[-1]}`" in CLI, name
 
 
 def test_every_option_of_process_is_documented() -> None:

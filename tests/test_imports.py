@@ -10,33 +10,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import all_commands
 
 import cli
 
 HEAVY = ("torch", "openvino", "duckdb", "mcap", "cv2", "numpy", "rich", "ray", "foxglove_schemas_protobuf")
-COMMANDS = (
-    "",
-    "process",
-    "query",
-    "info",
-    "detect",
-    "overlay",
-    "pack",
-    "simulate",
-    "doctor",
-    "index",
-    "model",
-    "batch",
-    "quarantine",
-    "schedule",
-    "runs",
-    "spans",
-    "anomalies",
-    "check",
-    "report",
-    "review",
-    "flights",
-)
+COMMANDS = all_commands()
 
 
 # One process for all: imports of one command remain for those that follow, and are reported with them.

@@ -39,7 +39,7 @@ def detections(
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Number of images.")] = 3,
     width: WidthOption = 320,
 ) -> None:
-    """Draw what weights and rivals find in some images of a set, side by side.
+    """Draw what weights and rivals find in a set, side by side.
 
     \b
     Examples:
@@ -74,7 +74,7 @@ def grids(
     ] = 0.5,
     width: WidthOption = 320,
 ) -> None:
-    """Draw the segments of one, two, three and four grids, 5 px wide.
+    """Draw the segments of one, two, three and four grids.
 
     \b
     Examples:
@@ -98,7 +98,7 @@ def augmentations(
     size: Annotated[int, typer.Option(min=64, metavar="PX", help="Side of the drawn image.")] = 256,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the image.")] = 0,
 ) -> None:
-    """Draw a training image before and after each augmentation of the paper.
+    """Draw a training image before and after each augmentation.
 
     \b
     Examples:
@@ -119,7 +119,9 @@ def losses(
         Path, typer.Option("--output", "-o", metavar="FILE", help="Chart to write, .svg or .png.")
     ],
 ) -> None:
-    """Draw the validation losses of runs over the steps: cells (focal) and endpoints (Wing).
+    """Draw the validation losses of runs over the steps.
+
+    Of the cells (focal) and of the endpoints (Wing).
 
     \b
     Examples:

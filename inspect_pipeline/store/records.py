@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
@@ -157,6 +158,23 @@ class ProcessResult:
     warnings: tuple[str, ...] = ()
     n_lines: int = 0
     n_frames_replaced: int | None = None
+
+    @classmethod
+    def of(cls, record: FlightRecord, source: Path, folder: Path, started: float) -> ProcessResult:
+        """Return the result for a flight in `folder` of the store; `started` is of `time.monotonic`."""
+        return cls(
+            flight_id=record.flight_id,
+            source=str(source),
+            status=record.status,
+            annotated=folder / record.annotations if record.annotations else None,
+            n_frames=record.totals.n_frames,
+            n_bad_frames=record.totals.n_bad_frames,
+            n_segments=record.totals.n_segments,
+            n_lines=record.totals.n_lines,
+            seconds=round(time.monotonic() - started, 3),
+            reason=record.reason,
+            warnings=record.warnings,
+        )
 
 
 def _to_iso(time: datetime) -> str:

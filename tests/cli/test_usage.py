@@ -6,30 +6,12 @@ import re
 from typing import TYPE_CHECKING
 
 import pytest
+from command_line import all_commands
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from command_line import Outcome
-
-
-HELP = (
-    "",
-    "process",
-    "query",
-    "info",
-    "detect",
-    "overlay",
-    "pack",
-    "simulate",
-    "doctor",
-    "index rebuild",
-    "batch",
-    "quarantine retry",
-    "schedule",
-    "runs",
-    "model bench",
-)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +58,7 @@ def test_wrong_usage_exits_2_in_plain_text(run: Callable[..., Outcome], argument
     assert outcome.err.isascii()
 
 
-@pytest.mark.parametrize("command", HELP)
+@pytest.mark.parametrize("command", all_commands())
 def test_help_has_an_example(run: Callable[..., Outcome], command: str) -> None:
     outcome = run(*command.split(), "--help")
     assert (outcome.exit_code, outcome.err) == (0, "")

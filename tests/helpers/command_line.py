@@ -7,11 +7,25 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
+import typer
 
 import cli
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+
+    import click
+
+
+def all_commands() -> list[str]:
+    """Return the names of the program, its groups and their commands, as in "spans import"."""
+
+    def names(command: click.Command, prefix: str) -> Iterator[str]:
+        yield prefix
+        for name, child in getattr(command, "commands", {}).items():
+            yield from names(child, f"{prefix} {name}".strip())
+
+    return list(names(typer.main.get_command(cli.app), ""))
 
 
 class Outcome(NamedTuple):

@@ -8,20 +8,19 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import duckdb
 import numpy as np
 
 from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
+from inspect_pipeline.publishing import publish
 from inspect_pipeline.recording.types import CameraChannel, Frame
 from inspect_pipeline.store.records import FlightRecord, FlightTotals, ModelRecord, RunRecord
+from inspect_pipeline.store.store import Store
 from inspect_pipeline.tracking.flight import FlightTracker
 from lsnet.segments import Detections, Lines, Segments
-
-if TYPE_CHECKING:
-    from inspect_pipeline.store.store import Store
 
 START_NS = 1_700_000_000_123_456_789
 PERIOD_NS = 100_000_000
@@ -104,6 +103,15 @@ def write_flight(store: Store, name: str, n_frames: int = 3) -> str:
         totals = write_rows(staging.path, flight_id, n_frames)
         staging.commit(record(name, totals))
     return flight_id
+
+
+def published_store(root: Path, **n_frames: int) -> Store:
+    """A published store of flights, given by their names and numbers of frames."""
+    store = Store(root)
+    for name, count in n_frames.items():
+        write_flight(store, name, count)
+    publish(store)
+    return store
 
 
 def record(name: str, totals: FlightTotals) -> FlightRecord:

@@ -11,8 +11,6 @@ import typer
 from typer.testing import CliRunner
 
 from inspect_pipeline.commands.export import export
-from inspect_pipeline.publishing import publish
-from inspect_pipeline.store.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,14 +18,12 @@ if TYPE_CHECKING:
 
     from click.testing import Result
 
+    from inspect_pipeline.store.store import Store
+
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    store = Store(tmp_path_factory.mktemp("store"))
-    flights.write_flight(store, "a", 3)
-    flights.write_flight(store, "b", 5)
-    publish(store)
-    return store
+    return flights.published_store(tmp_path_factory.mktemp("store"), a=3, b=5)
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import flights
 import pytest
 from inline_queries import answer_here
 
-from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.query import run_query
 from inspect_pipeline.store.store import Store
 
@@ -22,11 +21,7 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """A published store of the flights a (3 frames) and b (4 frames), which no test changes."""
-    store = Store(tmp_path_factory.mktemp("template"))
-    flights.write_flight(store, "a", 3)
-    flights.write_flight(store, "b", 4)
-    index.publish(store)
-    return store
+    return flights.published_store(tmp_path_factory.mktemp("template"), a=3, b=4)
 
 
 @pytest.fixture
@@ -45,10 +40,7 @@ def published(template: Store) -> Iterator[Store]:
 @pytest.fixture(scope="session")
 def queried(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """A published store of one flight of four frames, which no test changes."""
-    store = Store(tmp_path_factory.mktemp("store"))
-    flights.write_flight(store, "a", 4)
-    index.publish(store)
-    return store
+    return flights.published_store(tmp_path_factory.mktemp("store"), a=4)
 
 
 @pytest.fixture

@@ -98,14 +98,15 @@ bench-tracks: $(INSTALLED)
 	PYTHONPATH=. $(BIN)/python benchmarks/bench_track_support.py $(if $(GROUND),--ground $(GROUND)) \
 	  $(if $(WIRE_FREE),--wire-free $(WIRE_FREE))
 
-# MATRIX=full for harder flights; SEEDS=2 DRAWN=0 CLEAN=6 FLIGHTS=0 for a look of some minutes
+# MATRIX=full for harder flights; SHORT=1 for a look of some minutes
 SEEDS ?= 20
 DRAWN ?= 2
 CLEAN ?= 60
 MATRIX ?= basic
 FLIGHTS ?= 1000
 bench-inspection: $(INSTALLED)
-	$(BIN)/python benchmarks/bench_inspection.py --matrix $(MATRIX) --seeds $(SEEDS) --drawn $(DRAWN) --clean $(CLEAN) --flights $(FLIGHTS)
+	$(BIN)/python benchmarks/bench_inspection.py --matrix $(MATRIX) $(if $(SHORT),--short) --seeds $(SEEDS) --clean $(CLEAN) \
+	  --drawn $(DRAWN) --drawn-clean $(DRAWN) --flights $(FLIGHTS)
 
 clean:
 	rm -rf build dist demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache

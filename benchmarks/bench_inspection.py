@@ -1,20 +1,23 @@
 """Measure anomalies, conductors and coverage on simulated flights with ground truth, and on real ones.
 
-    python benchmarks/bench_inspection.py [--matrix basic|full] [--seeds 20] [--first-seed 1000] [--drawn 2]
-        [--clean 60] [--kinds blur dark ...] [--jobs 2] [--shard 1/4] [--results FILE] [--flights 1000]
+    python benchmarks/bench_inspection.py [--matrix basic|full] [--short] [--seeds 20] [--clean 60]
+        [--drawn 2] [--drawn-clean 2] [--first-seed 1000] [--kinds blur dark ...] [--jobs 2] [--shard 1/4]
+        [--results FILE] [--flights 1000]
 
 For each seed and each kind of anomaly, one fault is planted into a flight; --clean flights have none.
 `basic`: 40 s at 4 frames a second past a line of three phases, exact poses. `full`: every way to fly, 3 and
-6 phases, bundles of 1, 2 and 4, two circuits, 640x360 to 3840x2160, 1 to 10 frames a second, half of them
-with errors of poses. The true lines are disturbed (2 px of noise on every point, one in ten missed, one
-false line a frame) and pass through parquet files and the index like all lines. A hit is an anomaly of the
-kind whose interval overlaps the true one by at least half of their union; recall and precision count where
-the index says that it judged. For the first --drawn seeds, flights of 20 s are drawn and processed with the
-shipped weights.
+6 phases, bundles of 1, 2 and 4, two circuits, 640x360 to 3840x2160, 1 to 10 frames a second and photographs,
+hills, corners, wind; half of them with errors of poses. The true lines are disturbed (2 px of noise on every
+point, one in ten missed, one false line a frame) and pass through parquet files and the index like all lines.
+A hit is an anomaly of the kind whose interval overlaps the true one by at least half of their union; recall
+and precision count where the index says that it judged. For --drawn seeds and --drawn-clean flights the
+detector is in the loop: flights of 20 s are drawn, in every weather, over photographs without wires too
+(where LSNET_PIPE_DATA has them), and processed with the shipped weights.
 
-A case takes 2 to 10 s on one core: `full` with 20 seeds has 320 and takes half an hour. A drawn one takes
-minutes. --results keeps each outcome and skips those that it has, so a run can be resumed; --shard I/N runs
-every N-th case. The exit code is 1 when a bar is missed; the last line is one JSON object.
+--short is one seed and three clean flights of the true lines, without queries, in minutes. --results keeps
+each outcome and skips those that it has, so a run can be resumed; --shard I/N runs every N-th case.
+docs/inspection.md states how long it takes. The exit code is 1 when a bar is missed; the last line is one
+JSON object.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ from bench_queries import measure_queries
 from inspection_cases import Case, cases_of, put_recording, run_case
 from inspection_truth import ABOUT_CONDUCTORS, COVERAGES, KINDS
 
+from inspect_pipeline.config import PlacingOptions
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.simulation.options import FaultKind
@@ -118,6 +122,7 @@ def summarize(outcomes: Results) -> dict[str, Any]:
         else None,
         "coverage_error_points": {n: round(float(np.mean(e)), 2) for n, e in errors.items() if e},
         "known_share": round(1 - unknown_m / total_m, 3) if total_m else None,
+        "cpu_s_per_case": round(float(np.mean([one["cpu_s"] for one in outcomes])), 1),
         "unknown_shown_as_zero": sum(one["unknown"]["shown_as_zero"] for one in clean),
         "median_error_m": {n: round(float(np.median(e)), 2) for n, e in metres.items() if e},
     }
@@ -132,7 +137,7 @@ def real_flights() -> dict[str, dict[str, int]] | None:
     for name in ("caliterra_foxglove", "brighton_ros2"):
         with tempfile.TemporaryDirectory() as scratch:
             store = Store(Path(scratch))
-            put_recording(Path(folder) / "data" / "mcap" / f"{name}.mcap", store)
+            put_recording(Path(folder) / "data" / "mcap" / f"{name}.mcap", store, PlacingOptions())
             index.publish(store)
             rows = select(store, "SELECT kind, count(*) AS n FROM anomalies GROUP BY kind")
         found[name] = {row["kind"]: row["n"] for row in rows}
@@ -167,26 +172,36 @@ def missed_bars(result: dict[str, Any], *, is_drawn: bool) -> Iterator[str]:
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--matrix", choices=("basic", "full"), default="basic")
-    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument(
+        "--short", action="store_true", help="a look of minutes; replaces the next four, and --flights"
+    )
+    parser.add_argument("--seeds", type=int, default=20, help="of each kind, true lines")
+    parser.add_argument("--clean", type=int, default=60, help="flights, true lines")
+    parser.add_argument("--drawn", type=int, default=2, help="seeds of each kind, with the detector")
+    parser.add_argument("--drawn-clean", type=int, default=2, help="flights, with the detector")
     parser.add_argument("--first-seed", type=int, default=1000)
-    parser.add_argument("--drawn", type=int, default=2)
-    parser.add_argument("--clean", type=int, default=60)
     parser.add_argument("--kinds", nargs="*", choices=[str(kind) for kind in KINDS], metavar="KIND")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--shard", default="1/1", metavar="I/N")
     parser.add_argument("--results", type=Path, metavar="FILE")
     parser.add_argument("--flights", type=int, default=1000, help="of the index of queries; 0 leaves it out")
-    return parser.parse_args()
+    args = parser.parse_args()
+    if args.short:
+        args.seeds, args.clean, args.drawn, args.drawn_clean, args.flights = 1, 3, 0, 0, 0
+    return args
 
 
 def main() -> int:
     args = parse_arguments()
     started = time.perf_counter()
     kinds = [FaultKind(name) for name in args.kinds] if args.kinds is not None else list(KINDS)
-    seeds = range(args.first_seed, args.first_seed + args.seeds)
     first, step = map(int, args.shard.split("/"))
-    cases = list(cases_of(args.matrix, kinds, seeds, args.drawn, args.clean))[first - 1 :: step]
-    outcomes = run_cases(cases, args.results, args.jobs)
+    cases = [
+        case
+        for is_drawn, counts in ((True, (args.drawn_clean, args.drawn)), (False, (args.clean, args.seeds)))
+        for case in cases_of(args.matrix, kinds, args.first_seed, counts, is_drawn=is_drawn)
+    ]
+    outcomes = run_cases(cases[first - 1 :: step], args.results, args.jobs)
     result: dict[str, Any] = {"matrix": args.matrix, "missed": []}
     for name, is_drawn in (("true lines", False), ("detector", True)):
         own = [one for one in outcomes if one["is_drawn"] == is_drawn]

@@ -1,17 +1,20 @@
 """Simulated flights put into a store: as lines that are the truth, disturbed or not, or as drawn pictures.
 
 Cases of the matrix `basic` pass by a line of three phases with exact poses; those of `full` are sampled
-evenly from every way to fly, kind of line, size of images, rate of frames and error of poses.
+evenly from every way to fly, kind of line, route, size of images, rate of frames or photographs, error of
+poses, and wind; drawn ones also from every weather, ground and kind of tower.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
+import time
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -26,13 +29,23 @@ from inspection_truth import (
     unknown_coverage,
 )
 
-from inspect_pipeline.config import ProcessOptions, start_run
+from inspect_pipeline.config import PlacingOptions, ProcessOptions, start_run
+from inspect_pipeline.convert.photographs import pack_photographs
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index.reading import select
 from inspect_pipeline.inspection.spans import import_spans
 from inspect_pipeline.pipeline import process
-from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
+from inspect_pipeline.simulation.options import (
+    LINE_FAULTS,
+    FaultKind,
+    FlightKind,
+    SchemaKind,
+    SimulationOptions,
+    TowerKind,
+    WeatherKind,
+)
 from inspect_pipeline.simulation.plan import plan_flight
+from inspect_pipeline.simulation.terrain_file import write_terrain
 from inspect_pipeline.simulation.truth import truth_of
 from inspect_pipeline.simulation.write import simulate_flight
 from inspect_pipeline.store.store import Store
@@ -42,14 +55,16 @@ sys.path.append(str(Path(__file__).parents[1] / "tests" / "helpers"))
 import inspected  # after lsnet, of which the tests have a folder too
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from inspect_pipeline.simulation.records import FlightTruth
 
 _TRUE_S, _DRAWN_S = 40.0, 20.0
 _SIZES = ((360, 640), (720, 1280), (1080, 1920), (2160, 3840))
 _LINES = ((3, 1, 1), (6, 1, 1), (3, 2, 1), (3, 4, 1), (3, 1, 2))  # phases, bundle, circuits
-_RATES = (1.0, 2.0, 4.0, 10.0)
+_RATES = (1.0, 2.0, 4.0, 10.0, 0.5)  # the last as photographs
+_ROUTES = ((0.0, 0.0), (5.0, 0.0), (0.0, 30.0), (5.0, -30.0))  # hills in m, corner in degrees
+_WINDS_DEG = (0.0, 8.0)
 _QUERIES = {
     "anomalies": "SELECT kind, start_ns, end_ns, span_id FROM anomalies ORDER BY ALL",
     "coverage": "SELECT kind, unit, span_id, share, total, unknown, covered FROM coverage"
@@ -59,6 +74,7 @@ _QUERIES = {
 }
 
 Matrix = Literal["basic", "full"]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -75,58 +91,101 @@ class Case:
     @property
     def name(self) -> str:
         one = self.options
-        noise = f" noise {one.position_noise_m:.1f} m" if one.position_noise_m else ""
-        how = "drawn " if self.is_drawn else ""
-        return (
-            f"{how}seed {one.seed} {self.fault or 'clean'} {one.flight} {one.fps:g} fps"
-            f" {one.image_size[1]} px {one.n_phases}x{one.n_bundle}x{one.n_circuits}{noise}"
-        )
+        rate = "photographs" if one.schema == SchemaKind.PHOTOGRAPHS else f"{one.fps:g} fps"
+        words = [
+            *(["drawn"] if self.is_drawn else []),
+            f"seed {one.seed} {self.fault or 'clean'} {one.flight} {rate} {one.image_size[1]} px",
+            f"{one.n_phases}x{one.n_bundle}x{one.n_circuits}",
+            *([f"noise {one.position_noise_m:.1f} m"] if one.position_noise_m else []),
+            *([f"hills {one.hills_m:g} m"] if one.hills_m else []),
+            *([f"corner {one.corner_deg:g}"] if one.corner_deg else []),
+            *([f"wind {one.wind_deg:g}"] if one.wind_deg else []),
+        ]
+        if self.is_drawn:
+            words += [one.weather, one.towers, "photograph" if one.ground else "meadow"]
+        return " ".join(words)
 
 
 def cases_of(
-    matrix: Matrix, kinds: list[FaultKind], seeds: range, n_drawn: int, n_clean: int
+    matrix: Matrix, kinds: list[FaultKind], first_seed: int, counts: tuple[int, int], *, is_drawn: bool
 ) -> Iterator[Case]:
-    """Yield the cases of a matrix: of each kind one a seed, and clean flights; first those that are drawn."""
-    for is_drawn, own in ((True, seeds[:n_drawn]), (False, seeds)):
-        if not own:
-            continue
-        clean = range(own.start + 500, own.start + 500 + (n_drawn if is_drawn else n_clean))
-        for fault, number, seed in [
-            *((None, i, seed) for i, seed in enumerate(clean)),
-            *((kind, i, seed) for kind in kinds for i, seed in enumerate(own)),
-        ]:
-            yield Case(_options(matrix, fault, number, seed, is_drawn=is_drawn), is_drawn)
+    """Yield clean flights and those of each kind; `counts` has how many of the clean ones and of a kind."""
+    n_clean, n_seeds = counts
+    for seed in range(first_seed + 500, first_seed + 500 + n_clean):
+        yield Case(_options(matrix, None, seed, is_drawn=is_drawn), is_drawn)
+    for kind in kinds:
+        for seed in range(first_seed, first_seed + n_seeds):
+            yield Case(_options(matrix, kind, seed, is_drawn=is_drawn), is_drawn)
 
 
-def _options(
-    matrix: Matrix, fault: FaultKind | None, number: int, seed: int, *, is_drawn: bool
-) -> SimulationOptions:
+def _options(matrix: Matrix, fault: FaultKind | None, seed: int, *, is_drawn: bool) -> SimulationOptions:
     seconds, size = (_DRAWN_S, _SIZES[0]) if is_drawn else (_TRUE_S, _SIZES[1])
     options = SimulationOptions(seconds, 4.0, size, seed, faults=() if fault is None else (fault,))
     flown = list(FlightKind)
     if matrix == "basic":
-        return options if fault else replace(options, flight=flown[number % len(flown)])
-    # Each property by a permutation of its own, so that all values come up evenly and independently.
-    rng = np.random.default_rng([seed, 7, list(KINDS).index(fault) if fault else 99])
-    phases, bundle, circuits = _LINES[rng.integers(len(_LINES))]
-    is_noisy = bool(rng.integers(2))
-    return replace(
+        return options if fault else replace(options, flight=flown[seed % len(flown)])
+    draw = _Draw(seed, list(KINDS).index(fault) if fault else len(KINDS))
+    phases, bundle, circuits = draw.one_of(_LINES)
+    # A drawn flight takes long, and a photograph shows neither pauses nor what messages say.
+    rates = (4.0, 1.0) if is_drawn else _RATES[:4]
+    fps = draw.one_of((*rates, _RATES[4]) if fault is None or fault in LINE_FAULTS else rates)
+    hills_m, corner_deg = draw.one_of(_ROUTES)
+    is_noisy = draw.one_of((False, True))
+    rng = np.random.default_rng([seed, 7])
+    options = replace(
         options,
-        fps=4.0 if is_drawn else _RATES[(number + rng.integers(2) * 2) % len(_RATES)],
-        image_size=_SIZES[rng.integers(2 if is_drawn else len(_SIZES))],
-        flight=flown[rng.integers(len(flown))],
+        fps=fps,
+        schema=SchemaKind.PHOTOGRAPHS if fps == _RATES[4] else options.schema,
+        image_size=draw.one_of(_SIZES[:3] if is_drawn else _SIZES),
+        flight=draw.one_of(flown),
         n_phases=phases,
         n_bundle=bundle,
         n_circuits=circuits,
         position_noise_m=float(rng.uniform(1, 3)) if is_noisy else 0.0,
         drift_m=float(rng.uniform(0, 2)) if is_noisy else 0.0,
         attitude_noise_deg=1.0 if is_noisy else 0.0,
+        hills_m=hills_m,
+        corner_deg=corner_deg,
+        wind_deg=draw.one_of(_WINDS_DEG),
     )
+    if not is_drawn:
+        return options
+    return replace(
+        options,
+        weather=draw.one_of(tuple(WeatherKind)),
+        towers=draw.one_of(tuple(TowerKind)),
+        ground=draw.one_of((None, draw.one_of(_grounds()))),
+    )
+
+
+class _Draw:
+    """Draws values by the seed: of as many seeds in a row as there are values, each has another one.
+
+    The order of the values is another one for each property, each run of seeds and each series of cases.
+    """
+
+    def __init__(self, seed: int, series: int) -> None:
+        self._seed, self._series, self._n_drawn = seed, series, 0
+
+    def one_of(self, values: Sequence[T]) -> T:
+        self._n_drawn += 1
+        run, number = divmod(self._seed, len(values))
+        order = np.random.default_rng([self._series, self._n_drawn, run]).permutation(len(values))
+        return values[order[number]]
+
+
+@cache
+def _grounds() -> tuple[Path | None, ...]:
+    """Photographs from above without wires, where the data is; else none."""
+    folder = os.environ.get("LSNET_PIPE_DATA")
+    found = sorted(Path(folder, "data", "no_wires").glob("*/*.jpg")) if folder else []
+    return tuple(found) or (None,)
 
 
 def run_case(case: Case) -> dict[str, Any]:
     """Simulate a flight, index it, and compare what the index says with the truth, as JSON values."""
     cv2.setNumThreads(1)  # cases run beside each other
+    started_s = time.process_time()
     plan = plan_flight(case.options)
     truth = truth_of(plan)
     rng = np.random.default_rng(case.options.seed)
@@ -153,6 +212,7 @@ def run_case(case: Case) -> dict[str, Any]:
         wanted = true_coverage(plan, truth)
         result["errors"] = coverage_errors(rows["coverage"], wanted)
         result["unknown"] = asdict(unknown_coverage(rows["coverage"]))
+    result["cpu_s"] = round(time.process_time() - started_s, 2)
     result["about_conductors"] = sum(n for kind, n in others.items() if kind in ABOUT_CONDUCTORS)
     return result
 
@@ -160,14 +220,20 @@ def run_case(case: Case) -> dict[str, Any]:
 def _put_pictures(store: Store, options: SimulationOptions) -> None:
     """Draw a recording and process it."""
     with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / "flight.mcap"
-        simulate_flight(recording, options)
-        put_recording(recording, store)
+        recording, terrain = Path(folder) / "flight.mcap", Path(folder) / "terrain.asc"
+        if options.schema == SchemaKind.PHOTOGRAPHS:
+            simulate_flight(Path(folder) / "photographs", options)
+            pack_photographs(Path(folder) / "photographs", recording)
+        else:
+            simulate_flight(recording, options)
+        if options.hills_m:
+            write_terrain(terrain, options)
+        put_recording(recording, store, PlacingOptions(terrain=terrain if options.hills_m else None))
 
 
-def put_recording(recording: Path, store: Store) -> None:
+def put_recording(recording: Path, store: Store, placing: PlacingOptions) -> None:
     """Process a recording by the shipped weights."""
-    detector, options = _detector(), ProcessOptions(write="none")
+    detector, options = _detector(), ProcessOptions(write="none", placing=placing)
     process(recording, store, detector, options, start_run(detector, options))
 
 

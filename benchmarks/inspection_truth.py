@@ -78,7 +78,8 @@ def _true_corridor(plan: FlightPlan, truth: FlightTruth) -> float:
     if walked[-1] < 1:
         return float("nan")
     at = np.arange(_PATH_STEP_M / 2, walked[-1], _PATH_STEP_M)
-    places = np.column_stack([*(np.interp(at, walked, column) for column in path.T), np.zeros(len(at))])
+    below = np.column_stack([np.interp(at, walked, column) for column in path.T])
+    places = np.column_stack((below, plan.line.route.ground_m(below[:, 0])))
     is_seen = np.zeros(len(at), bool)
     for shot, is_good in zip(shots, good, strict=True):
         if is_good:
@@ -151,7 +152,8 @@ def _match_conductors(plan: FlightPlan, rows: list[dict[str, Any]]) -> dict[str,
     """The rows of a span by the conductor of the truth that each is nearest to, errors of positions apart."""
     if not rows:
         return {}
-    true = np.array([(c.points[0, 1], c.points[:, 2].max()) for c in plan.line.conductors])
+    hung = [_hung(plan, c.conductor_id, rows[0]["span_id"]) for c in plan.line.conductors]
+    true = np.array([one[:2] for one in hung])
     found = np.array([(row["across_m"], row["raised_m"]) for row in rows])
     apart = true[:, np.newaxis] - true.mean(axis=0) - (found - found.mean(axis=0))
     pairs = linear_sum_assignment(np.linalg.norm(apart, axis=2))
@@ -166,8 +168,21 @@ def conductor_errors(plan: FlightPlan, rows: list[dict[str, Any]]) -> dict[str, 
         own = [row for row in rows if row["span_id"] == span_id]
         for name, row in _match_conductors(plan, own).items():
             if row["sag_m"] is not None and name not in faulty:
-                heights = plan.line[name].points[:, 2]
-                top = float(heights.max())
-                errors["height_m"].append(abs(row["raised_m"] + _NOMINAL_M - top))
-                errors["sag_m"].append(abs(row["sag_m"] - (top - float(heights.min()))))
+                _, raised_m, sag_m = _hung(plan, name, span_id)
+                errors["height_m"].append(abs(row["raised_m"] + _NOMINAL_M - raised_m))
+                errors["sag_m"].append(abs(row["sag_m"] - sag_m))
     return errors
+
+
+def _hung(plan: FlightPlan, conductor_id: str, span_id: str) -> tuple[float, float, float]:
+    """How far left of a span's axis and above its structures' feet a conductor hangs, and its sag, in m."""
+    line = plan.line
+    span = next(i for i in range(line.n_structures - 1) if plan.span_id(i) == span_id)
+    first, last = np.searchsorted(line.along, line.structures_along[span : span + 2]).tolist()
+    points = line[conductor_id].points[first : last + 1]
+    feet = np.array([one.foot for one in line.structures[span : span + 2]])
+    ahead = (feet[1] - feet[0])[:2] / np.hypot(*(feet[1] - feet[0])[:2])
+    ends = points[[0, -1]] - feet
+    chord_m = np.interp(np.arange(len(points)), (0, len(points) - 1), points[[0, -1], 2])
+    left_m = ends[:, :2] @ (-ahead[1], ahead[0])
+    return float(left_m.mean()), float(ends[:, 2].mean()), float((chord_m - points[:, 2]).max())

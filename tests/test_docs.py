@@ -73,7 +73,7 @@ def test_every_command_of_cli_md_runs(run: Callable[..., str], folder: Path, fla
         if name in WITH_NETWORK:
             continue
         if name == "simulate":
-            arguments = [arguments[0], "--seconds", "10", "--fps", "0.5", "--size", "160x120"]
+            arguments += ["--seconds", "10", "--fps", "0.5", "--size", "160x120"]
         if name == "overlay":
             (row,) = json.loads(run("query", "SELECT min(flight_id) AS id FROM flights", "--format", "json"))
             arguments = [row["id"] if a == "FLIGHT" else a for a in arguments]

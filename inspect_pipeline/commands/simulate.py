@@ -31,7 +31,10 @@ def _parse_size(text: str) -> tuple[int, int]:
 
 
 def simulate(
-    target: Annotated[Path, typer.Argument(metavar="FILE", help="The recording to write (MCAP).")],
+    target: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="The recording to write (MCAP); or a folder, of photographs."),
+    ],
     seconds: Annotated[
         float, typer.Option(min=0.1, metavar="S", callback=finite, help="Length of the flight.")
     ] = 20.0,
@@ -64,6 +67,13 @@ def simulate(
     attitude_noise: Annotated[
         float, typer.Option(min=0, metavar="DEG", callback=finite, help="Noise of the camera's angles.")
     ] = 0.0,
+    corner: Annotated[
+        float,
+        typer.Option(min=-60, max=60, metavar="DEG", callback=finite, help="Turn of the line, to the left."),
+    ] = 0.0,
+    hills: Annotated[
+        float, typer.Option(min=0, max=15, metavar="M", callback=finite, help="Height of hills, in m.")
+    ] = 0.0,
     wind: Annotated[
         float, typer.Option(min=0, max=60, metavar="DEG", callback=finite, help="Swing of the conductors.")
     ] = 0.0,
@@ -76,24 +86,35 @@ def simulate(
     render: Annotated[
         RenderKind, typer.Option(help="Draw the conductors, or render them with Mitsuba (extra synth).")
     ] = RenderKind.DRAWN,
-    schema: Annotated[SchemaKind, typer.Option(help="Schemas of the messages.")] = SchemaKind.FOXGLOVE,
+    schema: Annotated[
+        SchemaKind, typer.Option(help="Schemas of the messages; or photographs, for pack.")
+    ] = SchemaKind.FOXGLOVE,
     spans: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the spans here as GeoJSON, for spans import.")
+    ] = None,
+    terrain: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the ground here as an ASCII grid, for process --dem."),
     ] = None,
 ) -> None:
     """Simulate a flight along a power line.
 
-    Writes a recording, and its ground truth beside it as FILE.truth.json.
+    Writes a recording, or photographs, and the ground truth beside it as FILE.truth.json.
 
     \b
     Examples:
       lsnet-pipe simulate demo.mcap
       lsnet-pipe simulate demo.mcap --seconds 10 --fault missing_conductor
       lsnet-pipe simulate demo.mcap --phases 6 --position-noise 2 --drift 2 --attitude-noise 1
+      lsnet-pipe simulate demo.mcap --hills 8 --corner 30 --terrain hills.asc
+      lsnet-pipe simulate photos --schema photographs --fps 0.5
     """
-    check_suffix(target, (".mcap",))
+    if schema != SchemaKind.PHOTOGRAPHS:
+        check_suffix(target, (".mcap",))
     if spans:
         check_suffix(spans, (".geojson", ".json"))
+    if terrain:
+        check_suffix(terrain, (".asc",))
     from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
     options = SimulationOptions(
@@ -109,6 +130,8 @@ def simulate(
         position_noise_m=position_noise,
         drift_m=drift,
         attitude_noise_deg=attitude_noise,
+        corner_deg=corner,
+        hills_m=hills,
         wind_deg=wind,
         weather=weather,
         towers=towers,
@@ -125,3 +148,8 @@ def simulate(
 
         write_spans(spans, truth)
         print_line(str(spans))
+    if terrain:
+        from inspect_pipeline.simulation.terrain_file import write_terrain
+
+        write_terrain(terrain, options)
+        print_line(str(terrain))

@@ -18,9 +18,9 @@ from inspect_pipeline.export.oriented_imagery import (
     ORIENTED_IMAGERY_FILE,
     to_oriented_image,
 )
-from inspect_pipeline.export.photograph import write_photograph
 from inspect_pipeline.export.rows import Redaction, Rows
 from inspect_pipeline.export.text import write_cells
+from inspect_pipeline.images.photograph import write_photograph
 from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.store.images import iter_images, open_images
 

@@ -38,6 +38,14 @@ class PlantedFault:
     evidence: Floats
 
 
+class SeenPart(NamedTuple):
+    """What a flight shows of a span: the share of it, and from where to where, as shares of its length."""
+
+    share: float
+    first: float
+    last: float
+
+
 class TimedFault(NamedTuple):
     """A fault of frames or messages from one time to another, in s.
 
@@ -51,26 +59,36 @@ class TimedFault(NamedTuple):
 
 
 def plant_faults(
-    line: PowerLine, kinds: Sequence[FaultKind], seen_shares: Floats, rng: np.random.Generator
+    line: PowerLine, kinds: Sequence[FaultKind], seen: Sequence[SeenPart], rng: np.random.Generator
 ) -> tuple[PowerLine, list[PlantedFault]]:
-    """Plant the line faults among `kinds` into the spans that are best visible.
+    """Plant the line faults among `kinds` into the spans that are best visible, near the middle of a span.
 
-    seen_shares (n_spans,): how much of each span the flight shows.
+    seen: what the flight shows of each span.
     """
-    spans = np.argsort(-np.round(seen_shares, 1) + 0.01 * rng.random(len(seen_shares)))
+    shares = np.array([part.share for part in seen])
+    spans = np.argsort(-np.round(shares, 1) + 0.01 * rng.random(len(shares)))
     planted = []
     for i, kind in enumerate(kind for kind in kinds if kind in LINE_FAULTS):
-        line, fault = _plant(line, kind, int(spans[i % len(spans)]), rng)
+        span = int(spans[i % len(spans)])
+        line, fault = _plant(line, kind, span, _middle_of(seen[span]), rng)
         planted.append(fault)
     return line, planted
 
 
+def _middle_of(seen: SeenPart) -> tuple[float, float]:
+    """Return the range of positions of faults in a span: the middle of what the flight shows, and its own."""
+    margin = (seen.last - seen.first) / 4
+    shown = seen.first + margin, seen.last - margin
+    low, high = max(shown[0], _MIDDLE_SHARE[0]), min(shown[1], _MIDDLE_SHARE[1])
+    return (low, high) if low < high else shown
+
+
 def _plant(
-    line: PowerLine, kind: FaultKind, span: int, rng: np.random.Generator
+    line: PowerLine, kind: FaultKind, span: int, middle: tuple[float, float], rng: np.random.Generator
 ) -> tuple[PowerLine, PlantedFault]:
-    from_x = float(line.structures_x[span])
+    from_m = float(line.structures_along[span])
     if kind == FaultKind.CROSSING_LINE:
-        changed = cross(line, from_x + rng.uniform(*_MIDDLE_SHARE) * SPAN_M, rng.uniform(*_CROSSING_RAD))
+        changed = cross(line, from_m + rng.uniform(*middle) * SPAN_M, rng.uniform(*_CROSSING_RAD))
         foreign = changed.foreign[-1]
         return changed, PlantedFault(kind, span, (foreign.conductor_id,), foreign.points)
     numbers = _with_neighbours(line) if kind == FaultKind.CONDUCTORS_TOO_CLOSE else None
@@ -78,7 +96,7 @@ def _plant(
     number = numbers[int(rng.integers(len(numbers)))]
     conductor, neighbour = line.conductors[number : number + 2]
     name, points = conductor.conductor_id, conductor.points
-    along = (points[:, 0] - from_x) / SPAN_M
+    along = (line.along - from_m) / SPAN_M
     is_in_span = (along >= 0) & (along <= 1)
     if kind == FaultKind.SAG_OUTLIER:
         drop = np.where(is_in_span, rng.uniform(*_EXTRA_SAG_M) * 4 * along * (1 - along), 0.0)
@@ -92,8 +110,8 @@ def _plant(
         changed = move_stretch(line, name, shift)
         evidence = changed[name].points[_CLOSE_SHARE * bulge > 0.5]
         return changed, PlantedFault(kind, span, (name, neighbour.conductor_id), evidence)
-    first, last = _absent_stretch(kind, rng)
-    changed = remove_stretch(line, name, from_x + first * SPAN_M, from_x + last * SPAN_M)
+    first, last = _absent_stretch(kind, middle, rng)
+    changed = remove_stretch(line, name, from_m + first * SPAN_M, from_m + last * SPAN_M)
     return changed, PlantedFault(kind, span, (name,), points[(along >= first) & (along <= last)])
 
 
@@ -108,11 +126,13 @@ def _with_neighbours(line: PowerLine) -> list[int]:
     ]
 
 
-def _absent_stretch(kind: FaultKind, rng: np.random.Generator) -> tuple[float, float]:
+def _absent_stretch(
+    kind: FaultKind, middle: tuple[float, float], rng: np.random.Generator
+) -> tuple[float, float]:
     """Return the missing part of a conductor as shares of the span: all, the end, or a gap."""
     if kind == FaultKind.MISSING_CONDUCTOR:
         return 0.0, 1.0
-    start = rng.uniform(*_MIDDLE_SHARE)
+    start = rng.uniform(*middle)
     if kind == FaultKind.BROKEN_CONDUCTOR:
         return start, 1.0
     return start, start + rng.uniform(*_GAP_M) / SPAN_M

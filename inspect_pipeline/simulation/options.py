@@ -20,10 +20,11 @@ class FlightKind(StrEnum):
 
 
 class SchemaKind(StrEnum):
-    """Schemas of the recording: Foxglove in protobuf, or ROS 2."""
+    """What is written: a recording by Foxglove's schemas in protobuf or those of ROS 2, or photographs."""
 
     FOXGLOVE = "foxglove"
     ROS2 = "ros2"
+    PHOTOGRAPHS = "photographs"
 
 
 class RenderKind(StrEnum):
@@ -88,11 +89,13 @@ class SimulationOptions:
         position_noise_m: standard deviation of each recorded position, on each axis.
         drift_m: amplitude of a slow error of positions, on each axis.
         attitude_noise_deg: standard deviation of each recorded angle of the camera.
+        corner_deg: by how much the line turns left, at a structure in the middle of the flight.
+        hills_m: height of the hills that the line and the drone go over.
         wind_deg: by how much wind swings the conductors out; the drone sways more, too.
         weather: of the pictures.
         towers: that are drawn.
         faults: planted once for each time they are named.
-        schema: of the messages.
+        schema: of the messages; or photographs for `pack` instead of a recording.
         ground: a photograph from above to use as the ground; None draws it.
         render: how conductors are rendered.
     """
@@ -109,6 +112,8 @@ class SimulationOptions:
     position_noise_m: float = 0.0
     drift_m: float = 0.0
     attitude_noise_deg: float = 0.0
+    corner_deg: float = 0.0
+    hills_m: float = 0.0
     wind_deg: float = 0.0
     weather: WeatherKind = WeatherKind.CLEAR
     towers: TowerKind = TowerKind.WOOD

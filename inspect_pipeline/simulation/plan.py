@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from inspect_pipeline.simulation.faults import plant_faults, schedule_faults
+from inspect_pipeline.simulation.faults import SeenPart, plant_faults, schedule_faults
 from inspect_pipeline.simulation.options import LINE_FAULTS, FaultKind, FlightKind
 from inspect_pipeline.simulation.path import SPEED_M_S, Path
 from inspect_pipeline.simulation.pose_noise import disturb_pose
 from inspect_pipeline.simulation.power_line import SPAN_M, PowerLine, hang_line
+from inspect_pipeline.simulation.route import Route
 from inspect_pipeline.simulation.scene import Gaze, look, near
 
 if TYPE_CHECKING:
@@ -45,9 +46,10 @@ class Shot(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightPlan:
-    """A planned flight; `path` and `line` are in metres, in the axes of `power_line`.
+    """A planned flight; `path` and `line` are in metres, in the axes of `route`.
 
-    axis: (N, 3) points every few centimetres along the mean of the conductors without faults.
+    axis: (N, 3) points every few centimetres along the mean of the conductors without faults. axis_along:
+    (N,) their distances along the route.
     azimuth_deg: which way, clockwise from north, x points.
     """
 
@@ -55,6 +57,7 @@ class FlightPlan:
     path: Path
     line: PowerLine
     axis: Floats
+    axis_along: Floats
     azimuth_deg: float
     planted: tuple[PlantedFault, ...]
     timed: tuple[TimedFault, ...]
@@ -110,7 +113,7 @@ class FlightPlan:
 
     def shares_of_spans(self, is_seen: Mask) -> Floats:
         """Return (n_spans,): the share of each span's axis where `is_seen` (N,) is True."""
-        numbers = self.line.span_numbers(self.axis[:, 0])
+        numbers = self.line.span_numbers(self.axis_along)
         shares: Floats = np.bincount(numbers, is_seen) / np.bincount(numbers)
         return shares
 
@@ -128,39 +131,61 @@ def plan_flight(options: SimulationOptions) -> FlightPlan:
     rng = np.random.default_rng([options.seed, 1])
     n_structures = options.n_structures or _n_passed(options)
     wind_rad = float(np.deg2rad(options.wind_deg))
+    route = Route(_corner_m(options), float(np.deg2rad(options.corner_deg)), options.hills_m)
     line = hang_line(
-        _FIRST_STRUCTURE, n_structures, options.n_phases, options.n_bundle, options.n_circuits, wind_rad
+        _FIRST_STRUCTURE,
+        n_structures,
+        options.n_phases,
+        options.n_bundle,
+        options.n_circuits,
+        wind_rad,
+        route,
     )
     raised_m = _RAISED_SHARE * max(0.0, line.half_width_m - _USUAL_HALF_M)
-    path = Path(
-        options.flight, options.seconds, raised_m, rng.uniform(0, 2 * np.pi, 4), 1 + _SWAY_BY_WIND * wind_rad
-    )
+    phases, sway = rng.uniform(0, 2 * np.pi, 4), 1 + _SWAY_BY_WIND * wind_rad
+    path = Path(options.flight, options.seconds, raised_m, phases, sway, route)
     azimuth_deg = float(rng.uniform(0, 360))
     timed = schedule_faults(options.faults, options.seconds, options.fps, rng)
-    clean = FlightPlan(options, path, line, _axis(line), azimuth_deg, (), tuple(timed))
+    clean = FlightPlan(options, path, line, *_axis(line), azimuth_deg, (), tuple(timed))
     if not set(options.faults) & set(LINE_FAULTS):
         return clean
-    faulty, planted = plant_faults(line, options.faults, _seen_shares(clean), rng)
+    faulty, planted = plant_faults(line, options.faults, _seen_parts(clean), rng)
     return replace(clean, line=faulty, planted=tuple(planted))
 
 
 def _n_passed(options: SimulationOptions) -> int:
     """Return how many structures a line needs to be longer than the flight."""
-    passes = options.flight in {FlightKind.PASS_BY, FlightKind.LOSS}
-    last_m = _BEYOND_M + (SPEED_M_S * options.seconds if passes else SPAN_M)
+    last_m = _BEYOND_M + (_passed_m(options) or SPAN_M)
     return int(np.ceil(last_m / SPAN_M)) + 1 - _FIRST_STRUCTURE
 
 
-def _axis(line: PowerLine) -> Floats:
+def _passed_m(options: SimulationOptions) -> float:
+    passes = options.flight in {FlightKind.PASS_BY, FlightKind.LOSS}
+    return SPEED_M_S * options.seconds if passes else 0.0
+
+
+def _corner_m(options: SimulationOptions) -> float:
+    """Return how far along the structure is at which the line may turn: the second one or a later one."""
+    return max(1, round(_passed_m(options) / 2 / SPAN_M)) * SPAN_M
+
+
+def _axis(line: PowerLine) -> tuple[Floats, Floats]:
     coarse = np.mean([conductor.points for conductor in line.conductors], axis=0)
-    x = np.arange(coarse[0, 0], coarse[-1, 0], _AXIS_STEP_M)
-    return np.column_stack((x, *(np.interp(x, coarse[:, 0], column) for column in coarse.T[1:])))
+    along = np.arange(line.along[0], line.along[-1], _AXIS_STEP_M)
+    return np.column_stack([np.interp(along, line.along, column) for column in coarse.T]), along
 
 
-def _seen_shares(plan: FlightPlan) -> Floats:
-    """Return the share of each span's axis that any picture shows."""
+def _seen_parts(plan: FlightPlan) -> list[SeenPart]:
+    """Return what any picture shows of each span's axis."""
     is_seen = np.zeros(len(plan.axis), bool)
     for shot in plan.shots():
         if not shot.is_dropped:
             is_seen[plan.axis_seen(plan.camera(shot.time_ns))] = True
-    return plan.shares_of_spans(is_seen)
+    numbers = plan.line.span_numbers(plan.axis_along)
+    parts = []
+    for span, share in enumerate(plan.shares_of_spans(is_seen).tolist()):
+        seen = (plan.axis_along[is_seen & (numbers == span)] - plan.line.structures_along[span]) / SPAN_M
+        parts.append(
+            SeenPart(share, float(seen[0]), float(seen[-1])) if len(seen) else SeenPart(0.0, 0.0, 0.0)
+        )
+    return parts

@@ -1,6 +1,7 @@
 """The drawn power line: poles in a row, and the conductors between them, which hang as catenaries.
 
-In m: x along the line, y left, z up. Structure k stands at x = k * SPAN_M, y = 0.
+Structure k stands k * SPAN_M along the route of the line. On slopes, too, a conductor sags below the straight
+line between its ends.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
+
+from inspect_pipeline.simulation.route import Route
 
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Ints, Mask
@@ -28,12 +31,19 @@ _FOREIGN_Z_M, _FOREIGN_HALF_M, _FOREIGN_DIAMETER_M = 6.5, 40.0, 0.045
 
 
 class Attachment(NamedTuple):
-    """The point at which one conductor is attached to every structure."""
+    """Where one conductor is attached to every structure: how far left of it, and how high above its foot."""
 
     conductor_id: str
-    y: float
-    z: float
+    left_m: float
+    up_m: float
     diameter_m: float
+
+
+class Structure(NamedTuple):
+    """A pole or tower: its foot (3,), and the vector (2,) of a metre to the left along its arm."""
+
+    foot: Floats
+    arm: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,20 +58,28 @@ class Conductor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PowerLine:
-    """Structures by number, from `first`; conductors sampled every SAMPLE_M of x from the first to the last.
+    """Structures by number, from `first`; conductors sampled every SAMPLE_M from the first to the last.
 
-    foreign: conductors of other lines that cross it.
+    along (N,): distance along the route of each of a conductor's points. foreign: conductors of other lines
+    that cross it.
     """
 
+    route: Route
     first: int
     n_structures: int
+    along: Floats
     conductors: tuple[Conductor, ...]
     foreign: tuple[Conductor, ...] = ()
 
     @property
-    def structures_x(self) -> Floats:
-        """The positions of the structures along x."""
+    def structures_along(self) -> Floats:
+        """The distances of the structures along the route."""
         return np.arange(self.first, self.first + self.n_structures, dtype=np.float64) * SPAN_M
+
+    @property
+    def structures(self) -> tuple[Structure, ...]:
+        """The structures from the first to the last."""
+        return tuple(_stand(self.route, along) for along in self.structures_along.tolist())
 
     @property
     def half_width_m(self) -> float:
@@ -71,34 +89,50 @@ class PowerLine:
     def __getitem__(self, conductor_id: str) -> Conductor:
         return next(c for c in self.conductors if c.conductor_id == conductor_id)
 
-    def span_numbers(self, x: Floats) -> Ints:
-        """Return the number of the span, from 0, at each x."""
-        numbers = np.floor(x / SPAN_M).astype(np.int64) - self.first
+    def span_numbers(self, along: Floats) -> Ints:
+        """Return the number of the span, from 0, at each distance along the route."""
+        numbers = np.floor(along / SPAN_M).astype(np.int64) - self.first
         return np.clip(numbers, 0, self.n_structures - 2)
 
 
 def hang_line(  # noqa: PLR0917 - numbers of one line
-    first: int, n_structures: int, n_phases: int, n_bundle: int, n_circuits: int = 1, wind_rad: float = 0.0
+    first: int,
+    n_structures: int,
+    n_phases: int,
+    n_bundle: int,
+    n_circuits: int = 1,
+    wind_rad: float = 0.0,
+    route: Route = Route(),  # noqa: B008 - immutable
 ) -> PowerLine:
     """Return a line without faults; raises ValueError for less than two structures, a phase or a wire."""
     if n_structures < 2 or n_phases < 1 or n_bundle < 1:
         raise ValueError("a line has at least two structures, a phase and a wire in its bundle")
     n_samples = round((n_structures - 1) * SPAN_M / SAMPLE_M) + 1
-    x = first * SPAN_M + np.arange(n_samples, dtype=np.float64) * SAMPLE_M
-    drop = _catenary_drop(x / SPAN_M % 1)
-    return PowerLine(
-        first,
-        n_structures,
-        tuple(
-            Conductor(
-                place.conductor_id,
-                np.column_stack((x, place.y + drop * np.sin(wind_rad), place.z - drop * np.cos(wind_rad))),
-                np.ones(len(x), bool),
-                place.diameter_m,
-            )
-            for place in _attachments(n_phases, n_bundle, n_circuits)
-        ),
-    )
+    along = first * SPAN_M + np.arange(n_samples, dtype=np.float64) * SAMPLE_M
+    line = PowerLine(route, first, n_structures, along, ())
+    number = line.span_numbers(along)
+    share = (along / SPAN_M - first - number)[:, np.newaxis]
+    feet, arms = (np.array(column) for column in zip(*line.structures, strict=True))
+    foot = feet[number] * (1 - share) + feet[number + 1] * share
+    arm = arms[number] * (1 - share) + arms[number + 1] * share
+    left = np.diff(feet[:, :2], axis=0)[number] @ np.array([[0, 1], [-1, 0]]) / SPAN_M
+    drop = _catenary_drop(share)
+    swing = np.column_stack((np.sin(wind_rad) * drop * left, -np.cos(wind_rad) * drop))
+    conductors = [
+        Conductor(
+            place.conductor_id,
+            foot + np.column_stack((place.left_m * arm, np.full(len(along), place.up_m))) + swing,
+            np.ones(len(along), bool),
+            place.diameter_m,
+        )
+        for place in _attachments(n_phases, n_bundle, n_circuits)
+    ]
+    return replace(line, conductors=tuple(conductors))
+
+
+def _stand(route: Route, along: float) -> Structure:
+    x, y = route.places(along).tolist()
+    return Structure(np.array([x, y, float(route.ground_m(x))]), route.arm(along))
 
 
 def _attachments(n_phases: int, n_bundle: int, n_circuits: int) -> list[Attachment]:
@@ -131,11 +165,10 @@ def _catenary_drop(along: Floats) -> Floats:
     return drop
 
 
-def remove_stretch(line: PowerLine, conductor_id: str, from_x: float, to_x: float) -> PowerLine:
-    """Return the line without a part of a conductor."""
+def remove_stretch(line: PowerLine, conductor_id: str, from_m: float, to_m: float) -> PowerLine:
+    """Return the line without a conductor between two distances along it."""
     conductor = line[conductor_id]
-    x = conductor.points[:, 0]
-    is_there = conductor.is_there & ~((x >= from_x) & (x <= to_x))
+    is_there = conductor.is_there & ~((line.along >= from_m) & (line.along <= to_m))
     return _with(line, replace(conductor, is_there=is_there))
 
 
@@ -150,12 +183,13 @@ def _with(line: PowerLine, changed: Conductor) -> PowerLine:
     return replace(line, conductors=tuple(changed if c.conductor_id == same else c for c in line.conductors))
 
 
-def cross(line: PowerLine, x: float, angle_rad: float) -> PowerLine:
-    """Return the line with another one that crosses below it at `x`, at an angle."""
-    along = np.arange(-_FOREIGN_HALF_M, _FOREIGN_HALF_M, SAMPLE_M)
-    points = np.column_stack(
-        (x + along * np.cos(angle_rad), along * np.sin(angle_rad), np.full_like(along, _FOREIGN_Z_M))
-    )
+def cross(line: PowerLine, along: float, angle_rad: float) -> PowerLine:
+    """Return the line with another one that crosses below it, level and at an angle, at a distance along."""
+    x, y = line.route.places(along).tolist()
+    angle_rad += float(line.route.headings_rad(along))
+    way = np.arange(-_FOREIGN_HALF_M, _FOREIGN_HALF_M, SAMPLE_M)
+    z = float(line.route.ground_m(x)) + _FOREIGN_Z_M
+    points = np.column_stack((x + way * np.cos(angle_rad), y + way * np.sin(angle_rad), np.full_like(way, z)))
     name = f"X{len(line.foreign) + 1}"
     foreign = Conductor(name, points, np.ones(len(points), bool), _FOREIGN_DIAMETER_M)
     return replace(line, foreign=(*line.foreign, foreign))

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from inspect_pipeline.simulation.ground import TEXEL_M, ground_to_texels
+from inspect_pipeline.simulation.hills import draw_hills
 from inspect_pipeline.simulation.options import RenderKind, TowerKind
 from inspect_pipeline.simulation.power_line import POLE_HEIGHT_M
 from inspect_pipeline.simulation.scene import SimulatedCamera, Tree, visible_parts
@@ -18,8 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from inspect_pipeline.arrays import Floats, Floats32, ImageArray, Mask, RealArray
-    from inspect_pipeline.simulation.power_line import Conductor
+    from inspect_pipeline.simulation.power_line import Conductor, Structure
     from inspect_pipeline.simulation.records import Quality
+    from inspect_pipeline.simulation.route import Route
 
 
 _FINER = 4  # conductors are drawn this much larger, then averaged
@@ -41,16 +43,17 @@ _SPOILED: dict[Quality, tuple[float, float]] = {  # blur in px, gain
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """What is drawn: the ground's tile, the trees on it, the conductors from below, x of their poles.
+    """What is drawn: the ground's tile, the trees on it, the conductors from below, and their structures.
 
-    crossarm_half_m: from a pole to the end of its arm. sun: (3,) unit vector towards the sun.
-    veil: share of the light that comes from haze.
+    route: of the line, over the ground that it has. crossarm_half_m: from a pole to the end of its arm.
+    sun: (3,) unit vector towards the sun. veil: share of the light that comes from haze.
     """
 
     ground: ImageArray
     trees: Sequence[Tree]
     conductors: Sequence[Conductor]
-    poles: Sequence[float]
+    structures: Sequence[Structure]
+    route: Route
     crossarm_half_m: float
     sun: Floats
     towers: TowerKind = TowerKind.WOOD
@@ -68,14 +71,15 @@ def render(
 
     Raises LSNetError when Mitsuba is needed and not installed.
     """
-    image = _draw_ground(landscape, camera)
-    for pole_x in landscape.poles:
-        _draw_pole_shadow(image, camera, pole_x, landscape.sun)
+    is_flat = landscape.route.hills_m == 0
+    image = (_draw_plane if is_flat else draw_hills)(landscape.ground, camera, landscape.route)
+    for structure in landscape.structures:
+        _draw_pole_shadow(image, camera, structure.foot, landscape.sun)
     for tree in _far_to_near(landscape.trees, camera):
         _draw_tree(image, camera, tree, landscape.sun)
-    for pole_x in reversed(landscape.poles):
+    for structure in reversed(landscape.structures):
         draw = draw_pole if landscape.towers == TowerKind.WOOD else draw_tower
-        draw(image, camera, pole_x, landscape.crossarm_half_m)
+        draw(image, camera, structure, landscape.crossarm_half_m)
     put = _draw_conductors if kind == RenderKind.DRAWN else _trace_conductors
     sharp = put(image, camera, landscape) * (1 - landscape.veil) + landscape.veil * _HAZE
     sigma_px, gain = _SPOILED.get(quality, (0.6, 1.0))
@@ -85,9 +89,9 @@ def render(
     return taken
 
 
-def _draw_ground(landscape: Landscape, camera: SimulatedCamera) -> ImageArray:
+def _draw_plane(ground: ImageArray, camera: SimulatedCamera, _: Route) -> ImageArray:
     """Draw the plane z = 0 by a homography, with the camera shifted onto the first tile."""
-    tile_y_m, tile_x_m = (n * TEXEL_M for n in landscape.ground.shape[:2])
+    tile_y_m, tile_x_m = (n * TEXEL_M for n in ground.shape[:2])
     x, y, z = camera.position
     moved = SimulatedCamera(
         np.array([x % tile_x_m, y % tile_y_m, z]), camera.rotation, camera.focal_px, camera.image_size
@@ -97,9 +101,7 @@ def _draw_ground(landscape: Landscape, camera: SimulatedCamera) -> ImageArray:
     to_texel = ground_to_texels() @ np.linalg.inv(plane_to_pixel) @ to_centre
     height, width = camera.image_size
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    image = cv2.warpPerspective(
-        landscape.ground, to_texel, (width, height), flags=flags, borderMode=cv2.BORDER_WRAP
-    )
+    image = cv2.warpPerspective(ground, to_texel, (width, height), flags=flags, borderMode=cv2.BORDER_WRAP)
     return image.astype(np.uint8, copy=False)
 
 
@@ -117,7 +119,7 @@ def _far_to_near(trees: Iterable[Tree], camera: SimulatedCamera) -> list[Tree]:
 
 def _draw_tree(image: ImageArray, camera: SimulatedCamera, tree: Tree, sun: Floats) -> None:
     """Draw the shadow of a tree, then its clumps of leaves from far to near."""
-    on_ground = tree.clumps - sun * (tree.clumps[:, 2:] / sun[2])
+    on_ground = tree.clumps - sun * ((tree.clumps[:, 2:] - tree.ground_m) / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
     _draw_discs(shadow, camera, on_ground, 2 * tree.radii_m, np.full((len(on_ground), 1), 255))
     _darken(image, shadow)
@@ -160,10 +162,10 @@ def _darken(image: ImageArray, shadow: ImageArray) -> None:
         part[:] = (part * (1 - _SHADOW * mask)).astype(np.uint8)
 
 
-def _draw_pole_shadow(image: ImageArray, camera: SimulatedCamera, x: float, sun: Floats) -> None:
-    top = np.array([x, 0, POLE_HEIGHT_M]) - sun * (POLE_HEIGHT_M / sun[2])
+def _draw_pole_shadow(image: ImageArray, camera: SimulatedCamera, foot: Floats, sun: Floats) -> None:
+    top = foot + np.array([0.0, 0.0, POLE_HEIGHT_M]) - sun * (POLE_HEIGHT_M / sun[2])
     shadow = np.zeros(image.shape[:2], np.uint8)
-    draw_beam(shadow, camera, np.array([[x, 0, 0], top]), 0.26, _MASK)
+    draw_beam(shadow, camera, np.stack((foot, top)), 0.26, _MASK)
     _darken(image, shadow)
 
 

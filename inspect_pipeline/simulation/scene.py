@@ -1,4 +1,4 @@
-"""Cameras, visible parts of conductors, and trees. In metres: x along the line, y left, z up."""
+"""Cameras, visible parts of conductors, and trees, in the axes of `route`."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ import numpy as np
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Mask
     from inspect_pipeline.simulation.power_line import Conductor
+    from inspect_pipeline.simulation.route import Route
 
 
 _NEAREST_M = 1.0
-_FARTHEST_M = 70.0  # along the line: objects beyond it are too small to matter
+_FARTHEST_M = 70.0  # objects beyond it are too small to matter
 
 
 class Tree(NamedTuple):
-    """A crown of leaf clumps: centres (N, 3) and radii (N,) in m, their light (N,) in [0, 1]."""
+    """A crown of leaf clumps: centres (N, 3) and radii (N,) in m, their light (N,) in [0, 1].
+
+    ground_m: height of the ground that it stands on.
+    """
 
     clumps: Floats
     radii_m: Floats
     light: Floats
     tint: float
+    ground_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +86,10 @@ def look(position: Floats, gaze: Gaze, focal_px: float, size: tuple[int, int]) -
 
 
 def near(camera: SimulatedCamera, points: Floats) -> slice:
-    """Return which of (N, 3) points, ordered by x, are near enough to be seen."""
-    x = camera.position[0]
-    first, last = np.searchsorted(points[:, 0], (x - _FARTHEST_M, x + _FARTHEST_M)).tolist()
-    return slice(first, last)
+    """Return which of (N, 3) points, in order along a line, are near enough to be seen."""
+    away = points[:, :2] - camera.position[:2]
+    within = np.flatnonzero(np.hypot(*away.T) <= _FARTHEST_M)
+    return slice(int(within[0]), int(within[-1]) + 1) if len(within) else slice(0, 0)
 
 
 class VisiblePart(NamedTuple):
@@ -129,18 +134,22 @@ def _at_border(inside: Floats, outside: Floats, image_size: tuple[int, int]) -> 
     return left
 
 
-def plant_trees(rng: np.random.Generator, first_m: float, last_m: float, sun: Floats) -> list[Tree]:
+def plant_trees(
+    rng: np.random.Generator, first_m: float, last_m: float, sun: Floats, route: Route
+) -> list[Tree]:
     """Return trees on both sides of the line, too low and too far away to hide it."""
     count = int((last_m - first_m) * 0.5)
     trees = []
-    for x in rng.uniform(first_m, last_m, count):
+    for along in rng.uniform(first_m, last_m, count):
         side, distance_m = rng.choice((-1, 1)), 7 + rng.gamma(2.0, 7.0)
         radius_m = rng.uniform(0.8, 2.6)
-        trees.append(_grow(rng, np.array([x, side * distance_m, 1.1 * radius_m]), radius_m, sun))
+        (x, y), _ = route.beside(along, side * distance_m)
+        trees.append(_grow(rng, np.array([x, y, route.ground_m(x)]), radius_m, sun))
     return trees
 
 
-def _grow(rng: np.random.Generator, centre: Floats, radius_m: float, sun: Floats) -> Tree:
+def _grow(rng: np.random.Generator, foot: Floats, radius_m: float, sun: Floats) -> Tree:
+    centre = foot + np.array([0.0, 0.0, 1.1 * radius_m])
     n_clumps = int(420 * radius_m**1.5)
     outward = rng.normal(size=(n_clumps, 3)) * (1, 1, 0.9)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -152,4 +161,5 @@ def _grow(rng: np.random.Generator, centre: Floats, radius_m: float, sun: Floats
         radii_m=rng.uniform(0.05, 0.14, n_clumps),
         light=np.clip(light, 0, 1),
         tint=rng.uniform(0, 1) ** 2,
+        ground_m=float(foot[2]),
     )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from inspect_pipeline.arrays import Floats, ImageArray
+    from inspect_pipeline.simulation.power_line import Structure
     from inspect_pipeline.simulation.scene import SimulatedCamera
 
     Strips = Iterable[tuple[float, float, tuple[int, ...]]]
@@ -28,23 +29,26 @@ _WOOD = (
 )
 _STEEL = ((1.0, 0.0, (84, 88, 92)), (0.6, 0.1, (138, 143, 148)))
 _ARM_Z_M = 12.1
+_POLE = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, POLE_HEIGHT_M]])  # from its foot
 _FOOT_HALF_M, _TOP_HALF_M, _N_PANELS = 1.1, 0.35, 5  # of a lattice tower
 _LEG_M, _BRACE_M = 0.12, 0.06  # widths of its beams
 _CORNERS = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
 
 
-def draw_pole(image: ImageArray, camera: SimulatedCamera, x: float, arm_half_m: float) -> None:
+def draw_pole(image: ImageArray, camera: SimulatedCamera, structure: Structure, arm_half_m: float) -> None:
     """Draw a wooden pole with a crossarm."""
-    draw_beam(image, camera, np.array([[x, 0, 0], [x, 0, POLE_HEIGHT_M]]), 0.28, _WOOD)
-    _draw_arm(image, camera, (x, arm_half_m), 0.16, _WOOD)
+    draw_beam(image, camera, structure.foot + _POLE, 0.28, _WOOD)
+    _draw_arm(image, camera, structure, arm_half_m, 0.16, _WOOD)
 
 
-def draw_tower(image: ImageArray, camera: SimulatedCamera, x: float, arm_half_m: float) -> None:
+def draw_tower(image: ImageArray, camera: SimulatedCamera, structure: Structure, arm_half_m: float) -> None:
     """Draw a lattice tower of four legs with braces, and a crossarm."""
     heights = np.linspace(0, POLE_HEIGHT_M, _N_PANELS + 1)
     halves = np.linspace(_FOOT_HALF_M, _TOP_HALF_M, _N_PANELS + 1)
+    left = structure.arm / np.hypot(*structure.arm)
+    corners = _CORNERS @ np.array([[left[1], -left[0]], left])
     rings = [
-        np.column_stack((x + half * _CORNERS[:, 0], half * _CORNERS[:, 1], np.full(4, z)))
+        structure.foot + np.column_stack((half * corners, np.full(4, z)))
         for half, z in zip(halves, heights, strict=True)
     ]
     for low, high in pairwise(rings):
@@ -53,14 +57,20 @@ def draw_tower(image: ImageArray, camera: SimulatedCamera, x: float, arm_half_m:
             draw_beam(image, camera, np.array([low[i], high[neighbour]]), _BRACE_M, _STEEL)
             draw_beam(image, camera, np.array([low[neighbour], high[i]]), _BRACE_M, _STEEL)
             draw_beam(image, camera, np.array([low[i], high[i]]), _LEG_M, _STEEL)
-    _draw_arm(image, camera, (x, arm_half_m), 0.2, _STEEL)
+    _draw_arm(image, camera, structure, arm_half_m, 0.2, _STEEL)
 
 
-def _draw_arm(
-    image: ImageArray, camera: SimulatedCamera, at: tuple[float, float], width_m: float, strips: Strips
+def _draw_arm(  # noqa: PLR0917 - what, on what, where, how
+    image: ImageArray,
+    camera: SimulatedCamera,
+    structure: Structure,
+    half_m: float,
+    width_m: float,
+    strips: Strips,
 ) -> None:
-    x, half_m = at
-    draw_beam(image, camera, np.array([[x, -half_m, _ARM_Z_M], [x, half_m, _ARM_Z_M]]), width_m, strips)
+    end = np.array([*(half_m * structure.arm), 0.0])
+    middle = structure.foot + np.array([0.0, 0.0, _ARM_Z_M])
+    draw_beam(image, camera, np.stack((middle - end, middle + end)), width_m, strips)
 
 
 def draw_beam(

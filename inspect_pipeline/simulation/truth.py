@@ -96,7 +96,8 @@ def _frame(
 ) -> FrameTruth:
     i = bisect_right(position_times_ns, shot.time_ns) - 1
     fixed_ns = position_times_ns[max(i, 0)]
-    lat_deg, lon_deg, alt_m = to_geodetic(plan, np.array(plan.recorded_pose(fixed_ns).position))
+    fixed = plan.recorded_pose(fixed_ns).position
+    lat_deg, lon_deg, alt_m = to_geodetic(plan, np.array(fixed))
     turned = plan.recorded_pose(shot.time_ns - shot.time_ns % POSE_PERIOD_NS)
     quality = _quality(plan, shot)
     rng = np.random.default_rng([plan.options.seed, 2, shot.number])
@@ -109,6 +110,7 @@ def _frame(
         lon_deg=lon_deg,
         alt_m=alt_m,
         height_m=turned.position[2],
+        ground_m=float(plan.line.route.ground_m(fixed[0])),
         heading_deg=compass_deg(plan, turned.heading_rad),
         cam_yaw_deg=compass_deg(plan, turned.yaw_rad),
         cam_pitch_deg=-float(np.rad2deg(turned.pitch_rad)),
@@ -145,6 +147,14 @@ def to_east_north(plan: FlightPlan, x: float, y: float) -> tuple[float, float]:
     return x * sine - y * cosine, x * cosine + y * sine
 
 
+def to_local(plan: FlightPlan, lat_deg: Floats, lon_deg: Floats) -> tuple[Floats, Floats]:
+    """Return x and y in m, each of the shape of latitudes and longitudes."""
+    origin_lat_deg, origin_lon_deg = (np.full_like(lat_deg, degrees) for degrees in _ORIGIN_DEG)
+    azimuth_deg, _, away_m = _EARTH.inv(origin_lon_deg, origin_lat_deg, lon_deg, lat_deg)
+    turned_rad = np.deg2rad(plan.azimuth_deg - azimuth_deg)
+    return away_m * np.cos(turned_rad), away_m * np.sin(turned_rad)
+
+
 def compass_deg(plan: FlightPlan, yaw_rad: float) -> float:
     """Turn an angle to the left of x into one clockwise from north, within -180 <= angle < 180."""
     return float((plan.azimuth_deg - np.rad2deg(yaw_rad) + 180) % 360 - 180)
@@ -159,7 +169,7 @@ def _visible_lines(plan: FlightPlan, camera: SimulatedCamera) -> list[LineTruth]
             kept = np.union1d(kept, [len(walked_px) - 1])
             spans: list[int] = []
             if conductor not in plan.line.foreign:
-                spans = plan.line.span_numbers(conductor.points[part.first : part.last, 0]).tolist()
+                spans = plan.line.span_numbers(plan.line.along[part.first : part.last]).tolist()
             most = max(set(spans), key=spans.count, default=None)
             lines.append(
                 LineTruth(
@@ -175,12 +185,12 @@ def _visible_lines(plan: FlightPlan, camera: SimulatedCamera) -> list[LineTruth]
 
 def _views(plan: FlightPlan, camera: SimulatedCamera) -> list[SpanViewTruth]:
     seen = plan.axis_seen(camera)
-    x = plan.axis[seen, 0]
-    numbers = plan.line.span_numbers(x)
+    along = plan.axis_along[seen]
+    numbers = plan.line.span_numbers(along)
     views = []
     for span in np.unique(numbers).tolist():
         is_here = numbers == span
-        along_m = x[is_here] - plan.line.structures_x[span]
+        along_m = along[is_here] - plan.line.structures_along[span]
         gsd_m = np.linalg.norm(plan.axis[seen[is_here]] - camera.position, axis=1) / camera.focal_px
         views.append(
             SpanViewTruth(
@@ -200,8 +210,8 @@ def _n_visible(camera: SimulatedCamera, points: Floats) -> int:
 
 def _structures(plan: FlightPlan) -> tuple[StructureTruth, ...]:
     return tuple(
-        StructureTruth(plan.structure_id(i), *to_geodetic(plan, np.array([x, 0.0, 0.0])), POLE_HEIGHT_M)
-        for i, x in enumerate(plan.line.structures_x)
+        StructureTruth(plan.structure_id(i), *to_geodetic(plan, structure.foot), POLE_HEIGHT_M)
+        for i, structure in enumerate(plan.line.structures)
     )
 
 

@@ -1,4 +1,4 @@
-"""Write recordings of simulated flights along a drawn power line.
+"""Write recordings of simulated flights along a drawn power line, or the photographs of such flights.
 
 Images, positions, attitudes and calibrations go into the recording, the truth into a JSON file beside it. The
 same options give the same pictures.
@@ -7,6 +7,7 @@ same options give the same pictures.
 from __future__ import annotations
 
 import json
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,11 +19,13 @@ from scipy.spatial.transform import Rotation
 from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import OutputError
 from inspect_pipeline.geometry.attitude import Quaternion
+from inspect_pipeline.images.photograph import write_photograph
 from inspect_pipeline.recording.ros2_writer import Ros2Author
 from inspect_pipeline.recording.writer import new_recording
 from inspect_pipeline.simulation.ground import draw_ground, lay_photograph
 from inspect_pipeline.simulation.options import SchemaKind, SimulationOptions, WeatherKind
 from inspect_pipeline.simulation.plan import POSE_PERIOD_NS, START_NS, plan_flight
+from inspect_pipeline.simulation.records import FrameTruth
 from inspect_pipeline.simulation.render import Landscape, render
 from inspect_pipeline.simulation.scene import plant_trees
 from inspect_pipeline.simulation.truth import compass_deg, to_east_north, to_geodetic, truth_of
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.arrays import ImageArray
     from inspect_pipeline.recording.writer import RecordingAuthor
     from inspect_pipeline.simulation.plan import FlightPlan
-    from inspect_pipeline.simulation.records import FlightTruth, FrameTruth
+    from inspect_pipeline.simulation.records import FlightTruth
     from inspect_pipeline.simulation.scene import SimulatedCamera
 
     Author = RecordingAuthor | Ros2Author
@@ -55,6 +58,7 @@ _TOPICS = {
         "/camera/image/compressed", "/camera/camera_info", "/drone/fix", "/drone/pose", "/camera/pose"
     ),
 }
+_PACKED_TOPIC = "/camera/image/compressed"  # of photographs, after `pack`
 _VIEW_M = (-5.0, 75.0)  # extent of the trees behind and ahead of the flight
 _ARM_BEYOND_M = 0.2
 _SUNS = {
@@ -67,7 +71,7 @@ _JPEG_QUALITY = 92
 
 
 def simulate_flight(target: Path, options: SimulationOptions) -> Path:
-    """Write a recording to `target` and the truth beside it, whose path is returned.
+    """Write a recording, or a folder of photographs, to `target` and the truth beside it: return its path.
 
     Raises OutputError when the target exists or cannot be written, LSNetError for a photograph that cannot
     be read, or without Mitsuba where that is asked for.
@@ -76,8 +80,12 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     plan = plan_flight(options)
     truth = truth_of(plan)
     try:
-        with new_recording(target, "ros2" if options.schema == SchemaKind.ROS2 else "") as author:
-            _fly(Ros2Author(author) if options.schema == SchemaKind.ROS2 else author, plan, truth)
+        if options.schema == SchemaKind.PHOTOGRAPHS:
+            _take_photographs(target, plan, truth)
+        else:
+            is_ros2 = options.schema == SchemaKind.ROS2
+            with new_recording(target, "ros2" if is_ros2 else "") as author:
+                _fly(Ros2Author(author) if is_ros2 else author, plan, truth)
         with appearing(truth_path) as part:
             part.write_text(json.dumps(_to_json(truth)) + "\n", encoding="utf-8")
     except FileExistsError as error:
@@ -85,6 +93,26 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     except OSError as error:
         raise OutputError(target, f"cannot be written ({error.strerror})", "name another file") from error
     return truth_path
+
+
+def _take_photographs(target: Path, plan: FlightPlan, truth: FlightTruth) -> None:
+    """Write a JPEG for each frame, with its pose and nominal lens, by the camera's clock. Raises OSError."""
+    if target.exists():
+        raise FileExistsError
+    rng = np.random.default_rng(plan.options.seed)
+    landscape = _make_landscape(rng, plan)
+    with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
+        folder = Path(scratch) / "photographs"
+        folder.mkdir()
+        for frame in truth.frames:
+            if frame.frame_idx is not None:
+                camera = plan.camera(frame.log_time_ns - START_NS)
+                image = render(landscape, camera, frame.quality, rng, plan.options.render)
+                row = {name: getattr(frame, name) for name in FrameTruth.__dataclass_fields__}
+                write_photograph(
+                    folder / f"{frame.frame_idx + 1:04d}.jpg", image, row | {"log_time_ns": frame.stamp_ns}
+                )
+        folder.rename(target)
 
 
 def _fly(author: Author, plan: FlightPlan, truth: FlightTruth) -> None:
@@ -118,9 +146,10 @@ def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
     sun /= np.linalg.norm(sun)
     return Landscape(
         ground=_make_ground(rng, plan.options.ground),
-        trees=plant_trees(rng, min(flown_x) + _VIEW_M[0], max(flown_x) + _VIEW_M[1], sun),
+        trees=plant_trees(rng, min(flown_x) + _VIEW_M[0], max(flown_x) + _VIEW_M[1], sun, plan.line.route),
         conductors=(*plan.line.foreign, *plan.line.conductors),
-        poles=plan.line.structures_x.tolist(),
+        structures=plan.line.structures,
+        route=plan.line.route,
         crossarm_half_m=plan.line.half_width_m + _ARM_BEYOND_M,
         sun=sun,
         towers=plan.options.towers,
@@ -145,7 +174,8 @@ def _to_json(truth: FlightTruth) -> dict[str, Any]:
         return np.round(value, 2).tolist() if isinstance(value, np.ndarray) else value
 
     fields = asdict(truth, dict_factory=lambda items: {name: plain(value) for name, value in items})
-    return {"image_topic": _TOPICS[truth.options.schema].image, **fields}
+    is_packed = truth.options.schema == SchemaKind.PHOTOGRAPHS
+    return {"image_topic": _PACKED_TOPIC if is_packed else _TOPICS[truth.options.schema].image, **fields}
 
 
 def _write_image(

@@ -12,6 +12,7 @@ from inspect_pipeline.georeference.frame_pose import FramePose
 from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.inspection.spans import Span
 from inspect_pipeline.recording.types import Frame
+from inspect_pipeline.simulation.options import SchemaKind
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
@@ -29,7 +30,10 @@ def write_truth(store: Store, name: str, truth: FlightTruth, rng: np.random.Gene
     flight_id = flights.flight_id_of(name)
     with store.write_flight(flight_id) as staging:
         totals = write_rows(staging.path, flight_id, truth, rng)
-        staging.commit(flights.record(name, totals))
+        record = flights.record(name, totals)
+        is_stills = truth.options.schema == SchemaKind.PHOTOGRAPHS
+        channels = tuple(replace(channel, is_stills=is_stills) for channel in record.channels)
+        staging.commit(replace(record, channels=channels))
     return flight_id
 
 
@@ -112,5 +116,7 @@ def _to_detections(frame: FrameTruth, rng: np.random.Generator | None) -> Detect
 def _to_place(frame: FrameTruth) -> FramePose:
     names = ("lat_deg", "lon_deg", "alt_m", "height_m", "heading_deg", "cam_roll_deg", "cam_pitch_deg")
     columns = {name: getattr(frame, name) for name in (*names, "cam_yaw_deg", "pose_age_ms", "focal_px")}
+    if frame.height_m is not None:
+        columns["height_m"] = frame.height_m - frame.ground_m  # as with a terrain model
     place = FramePose(**columns, attitude_source="camera")
     return place if frame.pose_age_ms is not None else replace(place, pose_age_ms=None)

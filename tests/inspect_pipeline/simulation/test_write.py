@@ -139,7 +139,7 @@ def test_every_option_of_the_command_counts(
 ) -> None:
     options = "--seconds 8 --fps 1 --size 96x64 --seed 4 --flight orbit --structures 4 --phases 2 --bundle 2"
     noise = "--circuits 2 --position-noise 1 --drift 0.5 --attitude-noise 0.1"
-    looks = "--wind 8 --weather haze --towers steel"
+    looks = "--corner 12 --hills 6 --wind 8 --weather haze --towers steel"
     target = tmp_path / "a.mcap"
     arguments = [
         *options.split(),
@@ -170,6 +170,8 @@ def test_every_option_of_the_command_counts(
         "position_noise_m": 1.0,
         "drift_m": 0.5,
         "attitude_noise_deg": 0.1,
+        "corner_deg": 12.0,
+        "hills_m": 6.0,
         "wind_deg": 8.0,
         "weather": "haze",
         "towers": "steel",

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     Results = list[dict[str, Any]]
 
 MIN_RECALL, MIN_PRECISION, MIN_DRAWN_RECALL = 0.90, 0.90, 0.80
-MIN_JUDGED = {1.0: 0.6, 4.0: 0.85}  # share of the planted faults, by frames a second
+MIN_JUDGED = {"1 fps": 0.6, "4 fps": 0.85}  # share of the planted faults, by frames a second
 MAX_FALSE_PER_CLEAN = 0.1
 MAX_COVERAGE_POINTS, MIN_KNOWN = 2.0, 0.9
 MAX_MEDIAN_M = {"height_m": 1.0, "sag_m": 0.5}
@@ -106,8 +106,8 @@ def summarize(outcomes: Results) -> dict[str, Any]:
     clean = [one for one in outcomes if one["fault"] is None]
     conductor_faults = [one for one in outcomes if one["fault"] and KINDS[one["fault"]] in ABOUT_CONDUCTORS]
     judged = {
-        fps: [j for one in conductor_faults if one["fps"] == fps for j in one["judged"]]
-        for fps in sorted({one["fps"] for one in conductor_faults})
+        rate: [j for one in conductor_faults if one["rate"] == rate for j in one["judged"]]
+        for rate in sorted({one["rate"] for one in conductor_faults})
     }
     errors = {name: [e for one in clean for e in one["errors"].get(name, [])] for name in COVERAGES}
     total_m = sum(one["unknown"]["total_m"] for one in clean)
@@ -115,7 +115,7 @@ def summarize(outcomes: Results) -> dict[str, Any]:
     metres = {name: [e for one in outcomes for e in one["conductors"][name]] for name in MAX_MEDIAN_M}
     return {
         "kinds": scores_by_kind(outcomes),
-        "judged_share_by_fps": {fps: round(float(np.mean(own)), 3) for fps, own in judged.items() if own},
+        "judged_share": {rate: round(float(np.mean(own)), 3) for rate, own in judged.items() if own},
         "clean_flights": len(clean),
         "false_per_clean": round(float(np.mean([sum(one["others"].values()) for one in clean])), 3)
         if clean
@@ -151,9 +151,9 @@ def missed_bars(result: dict[str, Any], *, is_drawn: bool) -> Iterator[str]:
         for name, bar in least.items():
             if scores[name] is not None and scores[name] < bar:
                 yield f"{name} of {kind} is {scores[name]}, not {bar}"
-    for fps, share in result["judged_share_by_fps"].items():
-        if share < MIN_JUDGED.get(fps, 0.0):
-            yield f"share judged at {fps:g} frames a second is {share}, not {MIN_JUDGED[fps]}"
+    for rate, share in result["judged_share"].items():
+        if share < MIN_JUDGED.get(rate, 0.0):
+            yield f"share judged at {rate} is {share}, not {MIN_JUDGED[rate]}"
     most = {
         "false anomalies per clean flight": (result["false_per_clean"], MAX_FALSE_PER_CLEAN),
         "spans unknown and shown as 0": (result["unknown_shown_as_zero"], 0),

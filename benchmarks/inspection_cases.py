@@ -62,7 +62,8 @@ if TYPE_CHECKING:
 _TRUE_S, _DRAWN_S = 40.0, 20.0
 _SIZES = ((360, 640), (720, 1280), (1080, 1920), (2160, 3840))
 _LINES = ((3, 1, 1), (6, 1, 1), (3, 2, 1), (3, 4, 1), (3, 1, 2))  # phases, bundle, circuits
-_RATES = (1.0, 2.0, 4.0, 10.0, 0.5)  # the last as photographs
+_RATES = tuple((fps, SchemaKind.FOXGLOVE) for fps in (1.0, 2.0, 4.0, 10.0))
+_PHOTOGRAPHS = (1.0, SchemaKind.PHOTOGRAPHS)
 _ROUTES = ((0.0, 0.0), (5.0, 0.0), (0.0, 30.0), (5.0, -30.0))  # hills in m, corner in degrees
 _WINDS_DEG = (0.0, 8.0)
 _QUERIES = {
@@ -89,12 +90,16 @@ class Case:
         return self.options.faults[0] if self.options.faults else None
 
     @property
+    def rate(self) -> str:
+        is_still = self.options.schema == SchemaKind.PHOTOGRAPHS
+        return "photographs" if is_still else f"{self.options.fps:g} fps"
+
+    @property
     def name(self) -> str:
         one = self.options
-        rate = "photographs" if one.schema == SchemaKind.PHOTOGRAPHS else f"{one.fps:g} fps"
         words = [
             *(["drawn"] if self.is_drawn else []),
-            f"seed {one.seed} {self.fault or 'clean'} {one.flight} {rate} {one.image_size[1]} px",
+            f"seed {one.seed} {self.fault or 'clean'} {one.flight} {self.rate} {one.image_size[1]} px",
             f"{one.n_phases}x{one.n_bundle}x{one.n_circuits}",
             *([f"noise {one.position_noise_m:.1f} m"] if one.position_noise_m else []),
             *([f"hills {one.hills_m:g} m"] if one.hills_m else []),
@@ -127,15 +132,15 @@ def _options(matrix: Matrix, fault: FaultKind | None, seed: int, *, is_drawn: bo
     draw = _Draw(seed, list(KINDS).index(fault) if fault else len(KINDS))
     phases, bundle, circuits = draw.one_of(_LINES)
     # A drawn flight takes long, and a photograph shows neither pauses nor what messages say.
-    rates = (4.0, 1.0) if is_drawn else _RATES[:4]
-    fps = draw.one_of((*rates, _RATES[4]) if fault is None or fault in LINE_FAULTS else rates)
+    rates = (_RATES[0], _RATES[2]) if is_drawn else _RATES
+    fps, schema = draw.one_of((*rates, _PHOTOGRAPHS) if fault is None or fault in LINE_FAULTS else rates)
     hills_m, corner_deg = draw.one_of(_ROUTES)
     is_noisy = draw.one_of((False, True))
     rng = np.random.default_rng([seed, 7])
     options = replace(
         options,
         fps=fps,
-        schema=SchemaKind.PHOTOGRAPHS if fps == _RATES[4] else options.schema,
+        schema=schema,
         image_size=draw.one_of(_SIZES[:3] if is_drawn else _SIZES),
         flight=draw.one_of(flown),
         n_phases=phases,
@@ -200,7 +205,7 @@ def run_case(case: Case) -> dict[str, Any]:
     result: dict[str, Any] = {
         "case": case.name,
         "fault": case.fault,
-        "fps": case.options.fps,
+        "rate": case.rate,
         "is_drawn": case.is_drawn,
         "planted": len(truth.faults),
         "hits": hits,

@@ -46,7 +46,7 @@ CropOption = Annotated[int, typer.Option(min=64, metavar="PX", help="Side of the
 SeedsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Trainings of each network.")]
 ThinnerOption = Annotated[
     int,
-    typer.Option(min=1, max=4, metavar="N", help="Divide the channels of the paper's networks by 1, 2 or 4."),
+    typer.Option(min=1, max=8, metavar="N", help="Divide the channels of the paper's networks by this."),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to train. Default: a GPU if torch can use one.")]
 MethodOption = Annotated[
@@ -117,6 +117,7 @@ def compare(
         crop=crop,
         device=device.value,
         threads=threads,
+        as_paper=of_rivals,
     )
     count = count_rivals(seeds, method or ()) if of_rivals else len(NETWORKS)
     with progress_bar("compare", count * steps) as advance:
@@ -193,10 +194,11 @@ def ablate(
             crop=crop,
             device=device.value,
             threads=threads,
+            as_paper=True,
         )
-        only = method or ()
+        only, network = method or (), ablation.thin_paper(thinner)
         with progress_bar("ablate", ablation.count_trainings(seeds, names, only) * steps) as advance:
             trainings = Trainings(comparison, workers=workers, report=advance)
-            rows = ablation.ablate(trainings, ablation.thin_paper(thinner), seeds, names, only)
+            rows = ablation.ablate(trainings, network, seeds, names, only)
     for line in [json.dumps(asdict(row)) for row in rows] if as_json else method_tables(rows):
         typer.echo(line)

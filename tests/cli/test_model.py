@@ -205,7 +205,7 @@ def test_ablate_prints_the_figures_of_the_paper_beside(tmp_path: Path) -> None:
     result = run("ablate", "m", *TINY_RUN)
     assert (result.exit_code, result.stderr) == (0, "")
     heads, _, *rows = result.stdout.splitlines()
-    assert heads == "| grids | set | APR | ARR | F1 | paper: APR | ARR | F1 |"
+    assert heads == "| grids | set | APR | ARR | F1 | F1 above LS-Net | paper: APR | ARR | F1 |"
     assert [row.split(" | ")[0] for row in rows] == [
         *("| LS-Net-1-M", "| LS-Net-2-MH", "| LS-Net-2-MV", "| LS-Net-2-MC"),
         *("| LS-Net-3-MHC", "| LS-Net-3-MVC", "| LS-Net-3-MVH", "| LS-Net-4-MHVC"),

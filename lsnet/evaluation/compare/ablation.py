@@ -6,7 +6,7 @@ and Gerek; beside figures on other sets they show the order of the methods only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -79,34 +79,59 @@ ABLATIONS: dict[str, tuple[Method, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class AblationRow:
-    """One method on one set: APR, ARR and F1 of each seed, and the paper's."""
+    """One method on one set: APR, ARR and F1 of each seed, and the paper's.
+
+    `leads` is by how much its F1 is above that of LS-Net itself with the same seed, which means with the same
+    crops in the same order: what they do to both is not in its deviation. Empty for LS-Net itself.
+    """
 
     what: str
     method: str
     folder: str
     values: list[list[float]]
     published: Published
+    leads: list[float] = field(default_factory=list)
 
     @classmethod
     def heads(cls) -> list[str]:
         """Return the heads of the columns of a table."""
-        return ["method", "set", "APR", "ARR", "F1", "paper: APR", "ARR", "F1"]
+        return ["method", "set", "APR", "ARR", "F1", "F1 above LS-Net", "paper: APR", "ARR", "F1"]
 
     def cells(self) -> list[str]:
         """Return the cells of a table: means and, of several seeds, standard deviations."""
         measured = [_spread([seed[k] for seed in self.values]) for k in range(3)]
+        measured.append(_spread(self.leads, "+.3f") if self.leads else "-")
         published = ["-" if value is None else f"{value:.4f}" for value in self.published]
         return [self.method, self.folder.rpartition("/")[2], *measured, *published]
 
 
-def _spread(values: Sequence[float]) -> str:
-    mean = f"{fmean(values):.3f}"
+def _spread(values: Sequence[float], how: str = ".3f") -> str:
+    mean = f"{fmean(values):{how}}"
     return f"{mean} ± {stdev(values):.3f}" if len(values) > 1 else mean
 
 
+def with_leads(rows: Sequence[AblationRow], own: str) -> list[AblationRow]:
+    """Return the rows of one table with their leads over the method `own`; of as many seeds only."""
+    bases = {row.folder: [f1 for _, _, f1 in row.values] for row in rows if row.method == own}
+    return [
+        row
+        if row.method == own or len(row.values) != len(bases[row.folder])
+        else replace(
+            row, leads=[f1 - base for (_, _, f1), base in zip(row.values, bases[row.folder], strict=True)]
+        )
+        for row in rows
+    ]
+
+
 def thin_paper(thinner: int) -> LSNetConfig:
-    """Return the network of the paper with a fraction of its channels: 1, 2 or 4 times thinner."""
+    """Return the network of the paper with a fraction of its channels.
+
+    Raises:
+        LSNetError: The channels of its first stage are no multiple of the divisor.
+    """
     network = PRESETS["paper"]
+    if network.stage_channels[0] % thinner:
+        raise LSNetError(f"channels cannot be divided by {thinner}; give 1, 2, 4 or 8")
     channels = tuple(c // thinner for c in network.stage_channels)
     return replace(network, stage_channels=channels, head_channels=network.head_channels // thinner)
 
@@ -155,14 +180,19 @@ def ablate(
     Raises:
         LSNetError: As of `Trainings.score` and `methods_of`.
     """
-    rows: list[AblationRow] = []
+    tables: dict[str, list[AblationRow]] = {}
     for name, method in methods_of(what, only):
         found = [_score(trainings, network, method, seed) for seed in range(seeds)]
-        rows += [
+        tables.setdefault(name, []).extend(
             AblationRow(name, method.name, folder, [scores[folder] for scores in found], method.published)
             for folder in found[0]
-        ]
-    return rows
+        )
+    return _all_with_leads(tables)
+
+
+def _all_with_leads(tables: dict[str, list[AblationRow]]) -> list[AblationRow]:
+    """LS-Net itself is the last method of each table."""
+    return [row for name, rows in tables.items() for row in with_leads(rows, ABLATIONS[name][-1].name)]
 
 
 def count_trainings(seeds: int, what: Sequence[str], only: Sequence[str] = ()) -> int:
@@ -198,7 +228,7 @@ def ablate_grids(open_grids: Callable[[str], LineDetector], sets: Sequence[Path]
     for method in ABLATIONS["grids"]:
         scores = ablated_scores(open_grids(method.grids), sets)
         rows += [AblationRow("grids", method.name, str(f), [scores[str(f)]], method.published) for f in sets]
-    return rows
+    return _all_with_leads({"grids": rows})
 
 
 def ablated_scores(detector: LineDetector, sets: Sequence[Path]) -> dict[str, list[float]]:

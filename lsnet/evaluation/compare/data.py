@@ -12,7 +12,8 @@ from torch.utils.data import DataLoader, Dataset
 from lsnet.evaluation.baselines.wd_dcnn import LINE_PX, drawn_lines
 from lsnet.files import make_folder, write_png
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
-from lsnet.synth.dataset import Sample, SyntheticScenes
+from lsnet.synth.dataset import Sample, SampleSource, SyntheticScenes
+from lsnet.synth.paper import PaperScenes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,7 +27,7 @@ IMAGES_FILE, LINES_FILE = "images.npy", "lines.npz"
 
 
 class _Drawn(Dataset[Sample]):
-    def __init__(self, scenes: SyntheticScenes) -> None:
+    def __init__(self, scenes: SampleSource) -> None:
         self._scenes = scenes
 
     def __getitem__(self, index: int) -> Sample:
@@ -40,9 +41,19 @@ def draw_set(
     *,
     seed: int,
     workers: int,
+    as_paper: bool = False,
     on_image: Callable[[], None] = lambda: None,
 ) -> None:
     """Fill a folder with `count` synthetic images and their lines, unless it has them already.
+
+    Args:
+        folder: Where the set is kept.
+        backgrounds: Folders to draw on, as DIR or DIR:FIRST.
+        count: Images.
+        seed: Of the images.
+        workers: Processes that draw.
+        as_paper: Leave out clutter, towers and weather, which the paper does not draw.
+        on_image: Called after each image.
 
     Raises:
         LSNetError: A background folder (DIR or DIR:FIRST) has no images, or the set's folder cannot be
@@ -51,12 +62,11 @@ def draw_set(
     make_folder(folder)
     if (folder / LINES_FILE).exists():  # written last
         return
-    scenes = SyntheticScenes(
-        BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds]), DRAWN_PX, seed
-    )
+    pool = BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds])
+    source = (PaperScenes if as_paper else SyntheticScenes)(pool, DRAWN_PX, seed)
     shape = (count, DRAWN_PX, DRAWN_PX, 3)
     images = np.lib.format.open_memmap(folder / IMAGES_FILE, mode="w+", dtype=np.uint8, shape=shape)
-    drawn = DataLoader(_Drawn(scenes), batch_size=None, sampler=range(count), num_workers=workers)
+    drawn = DataLoader(_Drawn(source), batch_size=None, sampler=range(count), num_workers=workers)
     lines = []
     for i, sample in enumerate(drawn):
         images[i] = sample.image

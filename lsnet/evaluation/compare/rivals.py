@@ -13,7 +13,7 @@ from lsnet.evaluation.baselines.hough import Hough
 from lsnet.evaluation.baselines.learned import RIVALS, LearnedRival, rival_task
 from lsnet.evaluation.baselines.lsd import LSD
 from lsnet.evaluation.baselines.wsl_cnn import WSLCNNConfig
-from lsnet.evaluation.compare.ablation import AblationRow, Published, chosen, thin_paper
+from lsnet.evaluation.compare.ablation import AblationRow, Published, chosen, thin_paper, with_leads
 from lsnet.evaluation.compare.compare import grids_of
 from lsnet.evaluation.compare.trainings import Trainings, Variant
 from lsnet.evaluation.paper import COMPARED, PaperProtocol, evaluate_as_paper, evaluate_pixels_as_paper
@@ -63,26 +63,28 @@ def compare_rivals(
         LSNetError: As of `Trainings.score` and `rivals_of`.
     """
     sets = trainings.sets
+    own = LSNetTask(thin_paper(thinner))
     found: dict[str, list[dict[str, Any]]] = {}
     for seed in range(seeds):
         for preset in rivals_of(only):
             variant = Variant(preset.upper(), rival_task(thinned(RIVALS[preset], thinner)), seed)
             scores = trainings.score(variant, "comparison", lambda net: _pixel_scores(net, sets)).scores
             found.setdefault(variant.name, []).append(scores)
-        lsnet = Variant("LS-Net", LSNetTask(thin_paper(thinner)), seed)
+        lsnet = Variant("LS-Net", own, seed)
         scores = trainings.score(lsnet, "comparison", lambda net: _segment_scores(net, sets)).scores
         for name in ("LS-Net-W2", "LS-Net-W3"):
             found.setdefault(name, []).append(scores[name])
     for name, kind in UNTRAINED.items():
         detector = kind()
         found[name] = [_both_widths(detector, detector.min_score, sets)["LS-Net-W2"]]
-    return [
+    rows = [
         AblationRow(
             "comparison", name, folder, [s[folder] for s in of_seeds], PUBLISHED.get(name, NOT_PUBLISHED)
         )
         for name, of_seeds in found.items()
         for folder in of_seeds[0]
     ]
+    return with_leads(rows, "LS-Net-W2")
 
 
 def count_rivals(seeds: int, only: Sequence[str] = ()) -> int:

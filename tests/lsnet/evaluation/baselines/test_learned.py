@@ -23,6 +23,8 @@ from lsnet.training.tasks import LSNetTask
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from torch import Tensor
+
 THIN = WSLCNNConfig(channels=(2, 2, 2, 2, 2))
 WHITE_WITH_LINE = Sample(np.full((128, 160, 3), 255, np.uint8), [np.array([[0.0, 64.5], [30.0, 64.5]])])
 
@@ -63,6 +65,35 @@ def test_pixels_are_the_drawn_lines() -> None:
         share = float(mask.float().mean())
         expected = 2 * share * (1 - share) if not focal else 0.5 * 0.25
         assert float(sums.mean().total) == pytest.approx(expected * math.log(2), rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["wd-dcnn", "wd-dcnn-gnfl"])
+def test_wd_dcnn_starts_at_the_prior_and_learns_a_small_set(name: str) -> None:
+    """The loss falls far below the least that any constant gives, so pixels are told apart."""
+    torch.manual_seed(0)
+    task = WDDCNNTask(replace(RIVALS[name], channels=8, dilations=(1, 1, 2, 1)))
+    net = task.build()
+    rng = np.random.default_rng(0)
+    images = torch.from_numpy(rng.normal(120, 12, (2, 3, 32, 48)).astype(np.float32)) / 255
+    mask = torch.zeros(2, 32, 48, dtype=torch.bool)
+    mask[0, 9:12], mask[1, 20:23] = True, True
+    images.permute(1, 0, 2, 3)[:, mask] -= 0.12
+    with torch.no_grad():
+        scores = net(images).softmax(dim=1)[:, 1]
+    assert scores.numpy() == pytest.approx(1 / (1 + math.exp(2.0 if "fl" in name else 0.0)), abs=0.05)
+
+    def loss(logits: Tensor) -> Tensor:
+        return task.sums(logits, mask).mean().total
+
+    level = torch.zeros(2, 2, 32, 48)
+    levels = [float(loss(level + torch.tensor([0.0, v])[:, None, None])) for v in np.linspace(-5, 2, 50)]
+    optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3)
+    for _ in range(60):
+        optimizer.zero_grad()
+        total = loss(net(images))
+        total.backward()
+        optimizer.step()
+    assert float(total.detach()) < 0.25 * min(levels)
 
 
 def test_windows_have_a_line_or_not() -> None:

@@ -24,6 +24,7 @@ from lsnet.evaluation.compare.ablation import (
     ablate_grids,
     count_trainings,
     thin_paper,
+    with_leads,
 )
 from lsnet.evaluation.compare.table import method_tables
 from lsnet.evaluation.compare.trainings import Comparison, Trainings
@@ -64,6 +65,8 @@ def test_thin_networks_keep_the_table_of_the_paper() -> None:
     assert thin_paper(1) == PRESETS["paper"]
     assert thin_paper(4).stage_channels == (16, 32, 64, 128)
     assert replace(thin_paper(4), stage_channels=(64, 128, 256, 512), head_channels=512) == PRESETS["paper"]
+    with pytest.raises(LSNetError, match="channels cannot be divided by 3; give 1, 2, 4 or 8"):
+        thin_paper(3)
 
 
 def test_every_method_of_the_ablations_is_trained_and_scored(trainings: Trainings) -> None:
@@ -77,10 +80,10 @@ def test_every_method_of_the_ablations_is_trained_and_scored(trainings: Training
     assert count_trainings(2, list(ABLATIONS)) == len(rows)
     lines = method_tables(rows)
     assert lines.count("") == 3
-    assert lines[0] == "| downsample | set | APR | ARR | F1 | paper: APR | ARR | F1 |"
+    assert lines[0] == "| downsample | set | APR | ARR | F1 | F1 above LS-Net | paper: APR | ARR | F1 |"
     assert lines[4].startswith("| LS-Net-S | masked | ")
     assert lines[5].startswith("| LS-Net-S | held_out | ")
-    assert lines[5].endswith(" | 0.8004 | 0.5368 | 0.5940 |")
+    assert lines[5].endswith(" | - | 0.8004 | 0.5368 | 0.5940 |")
     assert ablate(trainings, THIN, 1, ["grids"]) == [row for row in rows if row.what == "grids"]
     few = ablate(trainings, THIN, 1, ["regression"], ["LS-Net-1 (L1)"])
     assert [row.method for row in few[::2]] == ["LS-Net-1 (L1)", "LS-Net-W (Wing)"]
@@ -109,10 +112,14 @@ def test_held_out_images_have_their_lines_as_truth(trainings: Trainings) -> None
 def test_several_seeds_have_a_mean_and_a_deviation() -> None:
     values = [[0.5, 0.25, 0.25], [0.7, 0.25, 0.35]]
     row = AblationRow("regression", "L2", "sets/m", values, Published(0.1, None, 0.2))
-    assert row.cells() == [
-        *("L2", "m", "0.600 ± 0.141", "0.250 ± 0.000", "0.300 ± 0.071"),
+    own = AblationRow("regression", "Wing", "sets/m", [[0, 0, 0.1], [0, 0, 0.4]], Published(0, 0, 0))
+    single = AblationRow("regression", "LSD", "sets/m", [[0, 0, 0.2]], Published(None, None, None))
+    first, *others = with_leads([row, own, single], "Wing")
+    assert first.cells() == [
+        *("L2", "m", "0.600 ± 0.141", "0.250 ± 0.000", "0.300 ± 0.071", "+0.050 ± 0.141"),
         *("0.1000", "-", "0.2000"),
     ]
+    assert [other.cells()[5] for other in others] == ["-", "-"]
 
 
 class ByGrid:
@@ -134,7 +141,7 @@ def test_the_grids_of_weights_are_scored_without_training(tmp_path: Path) -> Non
         for method in ABLATIONS["grids"]
     }
     assert method_tables(rows)[2] == (
-        "| LS-Net-1-M | masked | 0.000 | 0.000 | 0.000 | 0.8312 | 0.3791 | 0.4847 |"
+        "| LS-Net-1-M | masked | 0.000 | 0.000 | 0.000 | -0.400 | 0.8312 | 0.3791 | 0.4847 |"
     )
 
 

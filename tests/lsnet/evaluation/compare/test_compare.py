@@ -25,6 +25,7 @@ from lsnet.evaluation.compare.table import network_table
 from lsnet.evaluation.compare.trainings import Comparison, Trainings, Variant, results_of
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.dataset import SyntheticScenes
+from lsnet.synth.paper import PaperScenes
 from lsnet.training.losses import MultiTaskLoss
 from lsnet.training.tasks import LSNetTask
 
@@ -40,10 +41,13 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_a_set_holds_the_drawn_images_and_their_lines(tmp_path: Path) -> None:
-    draw_set(tmp_path, (), 6, seed=3, workers=0)
+@pytest.mark.parametrize(("kind", "as_paper"), [(SyntheticScenes, False), (PaperScenes, True)])
+def test_a_set_holds_the_drawn_images_and_their_lines(
+    tmp_path: Path, kind: type[SyntheticScenes | PaperScenes], as_paper: bool
+) -> None:
+    draw_set(tmp_path, (), 6, seed=3, workers=0, as_paper=as_paper)
     whole = Crops.of(tmp_path, 0, 6, size=96, seed=0)
-    scenes = SyntheticScenes(BackgroundPool([]), 96, seed=3)
+    scenes = kind(BackgroundPool([]), 96, seed=3)
     for i in range(6):
         np.testing.assert_array_equal(whole.images[i], scenes[i].image)
         assert len(whole.lines[i]) == len(scenes[i].lines)
@@ -130,17 +134,18 @@ def test_results_belong_to_their_data_network_loss_and_seed(comparison: Comparis
         (comparison, replace(tiny, seed=1)),
         (replace(comparison, steps=1), tiny),
         (replace(comparison, images=3), tiny),
+        (replace(comparison, as_paper=True), tiny),
         (replace(comparison, sets=(write_masks(folder / "other/masked"),)), tiny),
     ]
     # The other set has the same images and the same name: its result is the kept one.
-    assert [scored(*case) for case in cases] == [0, 1, 2, 3, 4, 5, 6, 0]
+    assert [scored(*case) for case in cases] == [0, 1, 2, 3, 4, 5, 6, 7, 0]
     assert scored(comparison, replace(tiny, name="renamed")) == 0
-    assert scored(comparison, tiny, "another way of scoring") == 7
+    assert scored(comparison, tiny, "another way of scoring") == 8
     cv2.imwrite(str(photos / "a.png"), np.full((70, 70, 3), 51, np.uint8))
-    assert scored(over_photos, tiny) == 8
+    assert scored(over_photos, tiny) == 9
     cv2.imwrite(str(folder / "masked/masks/a.png"), np.zeros((64, 80), np.uint8))
-    assert scored(comparison, tiny) == 9
-    assert len(results_of(folder)) == 10
+    assert scored(comparison, tiny) == 10
+    assert len(results_of(folder)) == 11
 
 
 @pytest.mark.usefixtures("small")

@@ -59,6 +59,11 @@ def printable(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
+def count_of(number: int, noun: str, plural: str | None = None) -> str:
+    """Return a number with its noun: `1 flight`, `1,200 flights`."""
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
 def shorten(text: str) -> str:
     """Cut out the middle of what names in damaged files or a statement make too long to read."""
     n_end = MAX_MESSAGE // 3  # with what to do

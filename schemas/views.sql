@@ -6,6 +6,7 @@ CREATE OR REPLACE VIEW flight_summary AS
 WITH frame_stats AS (
     SELECT flight_id,
            count(*) FILTER (n_segments > 0)  AS n_frames_with_segments,
+           count(*) FILTER (n_lines > 0)     AS n_frames_with_lines,
            median(sharpness)                 AS median_sharpness,
            median(infer_ms)                  AS median_infer_ms
     FROM frames
@@ -47,6 +48,7 @@ SELECT f.flight_id,
        f.n_frames,
        f.n_bad_frames,
        coalesce(s.n_frames_with_segments, 0)                           AS n_frames_with_segments,
+       coalesce(s.n_frames_with_lines, 0)                              AS n_frames_with_lines,
        s.n_frames_with_segments / nullif(f.n_frames - f.n_bad_frames, 0) AS detection_share,
        v.frame_coverage,
        v.detection_coverage,

@@ -32,8 +32,9 @@ from inspect_pipeline.commands.options import (
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
-from inspect_pipeline.commands.output import count_of, print_line
+from inspect_pipeline.commands.output import print_line
 from inspect_pipeline.config import ExecutorName
+from inspect_pipeline.errors import count_of
 
 if TYPE_CHECKING:
     from inspect_pipeline.batch.options import BatchOptions

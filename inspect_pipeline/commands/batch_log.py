@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from inspect_pipeline.commands.output import count_of
 from inspect_pipeline.commands.progress import progress_bar
-from inspect_pipeline.errors import printable
+from inspect_pipeline.errors import count_of, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

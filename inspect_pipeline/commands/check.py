@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from inspect_pipeline.commands.options import FlightOption, JsonOption, StoreOption, open_store
-from inspect_pipeline.commands.output import count_of, print_table
-from inspect_pipeline.errors import printable
+from inspect_pipeline.commands.output import print_table
+from inspect_pipeline.errors import count_of, printable
 from inspect_pipeline.inspection.rules import Priority
 
 _FAILED = 4

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from inspect_pipeline.commands.options import JsonOption, StoreOption, open_store
-from inspect_pipeline.commands.output import count_of, print_table
+from inspect_pipeline.commands.output import print_table
+from inspect_pipeline.errors import count_of
 
 _HEADERS = ("span_id", "conductor", "subject", "before", "after", "sd")
 
@@ -35,10 +36,10 @@ def compare(
       lsnet-pipe compare 42c8f628 9a1b77e0
     """
     from inspect_pipeline.index.compare import compare_flights
-    from inspect_pipeline.index.flights import resolve_flight
+    from inspect_pipeline.index.flights import find_flight
 
     source = open_store(store)
-    found = compare_flights(source, resolve_flight(source, before), resolve_flight(source, after))
+    found = compare_flights(source, find_flight(source, before), find_flight(source, after))
     typer.echo(f"{count_of(found.n_spans, 'span')} judged by both flights", err=True)
     if as_json:
         for change in found.changes:

@@ -17,8 +17,9 @@ from inspect_pipeline.commands.options import (
     ScaleOption,
     WeightsOption,
 )
-from inspect_pipeline.commands.output import count_of, print_line, report_error, warn
+from inspect_pipeline.commands.output import print_line, report_error, warn
 from inspect_pipeline.commands.progress import progress_bar
+from inspect_pipeline.errors import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from inspect_pipeline.commands.options import StoreOption, open_store
-from inspect_pipeline.commands.output import count_of, print_line, warn
+from inspect_pipeline.commands.output import print_line, warn
 from inspect_pipeline.commands.progress import progress_bar
-from inspect_pipeline.errors import printable
+from inspect_pipeline.errors import count_of, printable
 
 if TYPE_CHECKING:
     from inspect_pipeline.export.rows import Redaction, RedactMode
@@ -154,11 +154,11 @@ def _choose_format(output: Path, what: What, form: Form | None) -> Form:
 
 
 def _find_flights(store: Store, name: str | None) -> list[str]:
-    from inspect_pipeline.index.flights import resolve_flight
+    from inspect_pipeline.index.flights import find_flight
     from inspect_pipeline.index.reading import select
 
     if name is not None:
-        return [resolve_flight(store, name)]
+        return [find_flight(store, name)]
     every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"
     return [row["flight_id"] for row in select(store, every)]
 

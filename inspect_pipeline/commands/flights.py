@@ -67,11 +67,11 @@ def show(flight: FlightArgument, store: StoreOption = None, as_json: JsonOption 
       lsnet-pipe flights show 42c8f628
     """
     from inspect_pipeline.index.check import rules_not_judged
-    from inspect_pipeline.index.flights import describe_flights, resolve_flight
+    from inspect_pipeline.index.flights import describe_flights, find_flight
     from inspect_pipeline.store.images import source_path
 
     source = open_store(store)
-    flight_id = resolve_flight(source, flight)
+    flight_id = find_flight(source, flight)
     (found,) = describe_flights(source, [flight_id])
     found["not_judged"] = rules_not_judged(source, [flight_id]).get(flight_id, [])
     if as_json:
@@ -92,11 +92,11 @@ def rm(flight: FlightArgument, store: StoreOption = None) -> None:
     Examples:
       lsnet-pipe flights rm 42c8f628261a909a
     """
-    from inspect_pipeline.index.flights import resolve_flight
+    from inspect_pipeline.index.flights import find_flight
     from inspect_pipeline.publishing import publish
 
     target = open_store(store)
-    flight_id = resolve_flight(target, flight)
+    flight_id = find_flight(target, flight)
     target.remove_flight(flight_id)
     publish(target)
     print_line(f"{flight_id} removed")
@@ -115,7 +115,7 @@ def tag(
       lsnet-pipe flights tag 42c8f628 line=L12 pilot=kim
       lsnet-pipe flights tag 42c8f628 pilot=
     """
-    from inspect_pipeline.index.flights import resolve_flight
+    from inspect_pipeline.index.flights import find_flight
     from inspect_pipeline.publishing import publish
     from inspect_pipeline.store.feedback import add_tag
 
@@ -123,7 +123,7 @@ def tag(
     if wrong := [key + value for key, equals, value in pairs if not (key and equals)]:
         raise typer.BadParameter(f"{wrong[0]!r} is not of the form KEY=VALUE")
     target = open_store(store)
-    flight_id = resolve_flight(target, flight)
+    flight_id = find_flight(target, flight)
     for key, _, value in pairs:
         add_tag(target, flight_id, key, value or None)
     publish(target)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import typer
 
 from inspect_pipeline.commands.options import StoreOption, open_store
-from inspect_pipeline.commands.output import count_of, print_line, warn
+from inspect_pipeline.commands.output import print_line, warn
+from inspect_pipeline.errors import count_of
 
 app = typer.Typer(
     help="Rebuild the index, or compare it with the flights.",

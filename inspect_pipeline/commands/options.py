@@ -176,7 +176,11 @@ SignalsOption = Annotated[
     ),
 ]
 FlightOption = Annotated[
-    str | None, typer.Option(metavar="FLIGHT", help="Only this flight: its flight_id or the start of it.")
+    str | None,
+    typer.Option(
+        metavar="FLIGHT",
+        help="Only this flight: its flight_id or the start, the name of its recording, or last.",
+    ),
 ]
 FlightArgument = Annotated[
     str,

@@ -83,11 +83,6 @@ def _describe(error: Exception, subject: object) -> str | None:
     return None
 
 
-def count_of(number: int, noun: str, plural: str | None = None) -> str:
-    """Return a number with its noun: `1 flight`, `1,200 flights`."""
-    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
-
-
 def print_table(headers: Sequence[str], rows: Sequence[Sequence[object]], empty: str) -> None:
     """Print rows in columns under headers; numbers to the right, the last column as it comes.
 

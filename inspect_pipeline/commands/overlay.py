@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inspect_pipeline.commands.options import PICTURE_SUFFIXES, StoreOption, check_suffix, open_store
-from inspect_pipeline.commands.output import count_of, print_line
+from inspect_pipeline.commands.output import print_line
 from inspect_pipeline.commands.progress import progress_bar
+from inspect_pipeline.errors import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -86,10 +87,10 @@ def overlay(
 def _find_frames(
     store: Store, name: str, frame: int | None, topic: str | None
 ) -> tuple[str, list[dict[str, Any]]]:
-    from inspect_pipeline.index.flights import resolve_flight
+    from inspect_pipeline.index.flights import find_flight
     from inspect_pipeline.overlay import select_frames
 
-    flight_id = resolve_flight(store, name)
+    flight_id = find_flight(store, name)
     return flight_id, select_frames(store, flight_id, frame, topic=topic)
 
 

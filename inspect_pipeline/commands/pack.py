@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from inspect_pipeline.commands.options import check_suffix
-from inspect_pipeline.commands.output import count_of, print_line, warn
+from inspect_pipeline.commands.output import print_line, warn
+from inspect_pipeline.errors import count_of
 
 
 def pack(

@@ -34,8 +34,9 @@ from inspect_pipeline.commands.options import (
     parse_time_ns,
 )
 from inspect_pipeline.commands.options_file import ConfigOption
-from inspect_pipeline.commands.output import count_of, note, print_table, report_error, warn
+from inspect_pipeline.commands.output import note, print_table, report_error, warn
 from inspect_pipeline.commands.progress import progress_bar
+from inspect_pipeline.errors import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

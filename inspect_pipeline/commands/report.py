@@ -49,10 +49,10 @@ def report(
         write_page(output, render_store(source, {}))
         print_line(f"{output}: all flights")
     else:
-        from inspect_pipeline.index.flights import resolve_flight
+        from inspect_pipeline.index.flights import find_flight
         from inspect_pipeline.report.flight_page import render_flight
 
-        flight_id = resolve_flight(source, flight)
+        flight_id = find_flight(source, flight)
         write_page(output, render_flight(source, flight_id))
         print_line(f"{output}: flight {flight_id[:16]}")
     if open_page:

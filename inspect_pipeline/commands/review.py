@@ -39,11 +39,11 @@ def review(
     source = open_store(store)
 
     from inspect_pipeline.errors import OutputError
-    from inspect_pipeline.index.flights import resolve_flight
+    from inspect_pipeline.index.flights import find_flight
     from inspect_pipeline.review.decisions import Publisher
     from inspect_pipeline.review.server import ADDRESS, ReviewServer
 
-    flight_id = resolve_flight(source, flight) if flight else None
+    flight_id = find_flight(source, flight) if flight else None
     with Publisher(source) as publisher:
         publisher.request()  # what an older version or a killed publish left undone
         try:

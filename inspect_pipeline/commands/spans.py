@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from inspect_pipeline.commands.options import JsonOption, StoreOption, open_store
-from inspect_pipeline.commands.output import count_of, print_line, print_table
+from inspect_pipeline.commands.output import print_line, print_table
+from inspect_pipeline.errors import count_of
 
 _NEAR_FLIGHTS = """
 SELECT (SELECT count(DISTINCT span_id) FROM coverage WHERE span_id IN (SELECT unnest(?))) AS n_spans,

@@ -76,12 +76,12 @@ def view(
 def _find(store: Store, flight: str | None, anomaly: str | None) -> tuple[str, int | None]:
     """Return the flight_id and the time to start at."""
     from inspect_pipeline.index.anomalies import find_anomaly
-    from inspect_pipeline.index.flights import resolve_flight
+    from inspect_pipeline.index.flights import find_flight
 
     if anomaly is not None:
         row = find_anomaly(store, anomaly)
         return row["flight_id"], row["start_ns"]
-    return resolve_flight(store, flight or ""), None
+    return find_flight(store, flight or ""), None
 
 
 def _print_desktop(files: dict[str, Path], name: str) -> None:

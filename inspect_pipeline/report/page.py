@@ -13,7 +13,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from inspect_pipeline.atomic import appearing
-from inspect_pipeline.errors import OutputError
+from inspect_pipeline.errors import OutputError, count_of
 from inspect_pipeline.inspection.rules import PRIORITIES
 from inspect_pipeline.report import words
 from inspect_pipeline.report.charts import STATE_NAMES
@@ -84,6 +84,7 @@ def _environment() -> Environment:
     )
     filters = ("kind_name", "percent", "metres", "measured_m", "duration", "clock", "date", "quantity")
     environment.filters |= {name: getattr(words, name) for name in filters}
+    environment.filters["count_of"] = count_of
     environment.globals |= {"PRIORITIES": PRIORITIES, "STATE_NAMES": STATE_NAMES}
     return environment
 

@@ -6,7 +6,8 @@ import json
 import re
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import flights as made
 import inspected
@@ -26,9 +27,6 @@ from inspect_pipeline.simulation.options import FaultKind, SimulationOptions
 from inspect_pipeline.simulation.truth import simulate_truth
 from inspect_pipeline.store.feedback import load_reviews, load_tags
 from inspect_pipeline.store.store import Store
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("bare_flights")
 FAULTS = (FaultKind.MISSING_CONDUCTOR, FaultKind.DARK)
@@ -101,6 +99,17 @@ def test_import_warns_of_swapped_coordinates(store: Store, tmp_path: Path) -> No
     assert done.exit_code == 0
     assert "0 of 5 within near_m of a flight" in done.stdout
     assert "are latitude and longitude swapped" in done.stderr
+
+
+def test_flights_by_name(store: Store) -> None:
+    """Wherever a flight is given: the last one processed, the name of its recording, the start of its id."""
+    stored = select(store, "SELECT flight_id, source_uri FROM flights ORDER BY ingested_at DESC, flight_id")
+    assert {row["flight_id"] for row in rows("anomalies", "list", "--flight", "faulty.mcap")} == {FAULTY}
+    for command in (["check", "--flight"], ["anomalies", "list", "--flight"], ["flights", "show"]):
+        by_id = CliRunner().invoke(cli.app, [*command, stored[0]["flight_id"]])
+        for name in ("last", Path(stored[0]["source_uri"]).stem):
+            done = CliRunner().invoke(cli.app, [*command, name])
+            assert (done.exit_code, done.output) == (by_id.exit_code, by_id.output)
 
 
 def test_a_review_lasts_and_settles_the_check(store: Store) -> None:

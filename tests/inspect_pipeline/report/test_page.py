@@ -36,6 +36,12 @@ def test_the_page_of_a_flight_with_a_fault(template: Store) -> None:
     assert f"finding-{row['anomaly_id']}" in page.ids
     (summary,) = select(template, "SELECT span_coverage FROM flight_summary WHERE flight_id = ?", [flight_id])
     assert re.search(rf"Spans seen\s+{100 * summary['span_coverage']:.1f} %", page.text)
+    (found,) = select(
+        template,
+        "SELECT count(*) AS n, count(DISTINCT frame_idx) AS n_frames FROM lines WHERE flight_id = ?",
+        [flight_id],
+    )
+    assert f"{found['n']:,} lines in {found['n_frames']} frames" in page.text
     for span in select(template, "SELECT span_id FROM span_coverage WHERE flight_id = ?", [flight_id]):
         assert span["span_id"] in page.text
 

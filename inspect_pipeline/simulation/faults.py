@@ -21,6 +21,7 @@ _MIDDLE_SHARE = (0.3, 0.7)  # of a span: range of positions of faults
 _GAP_M = (3.0, 5.0)
 _EXTRA_SAG_M = (1.4, 2.4)
 _CLOSE_SHARE = 0.85  # by which the distance of two conductors is reduced
+_CLOSE_HALF = 0.3  # of a span: half of the stretch along which it is
 _MAX_NEIGHBOUR_M = 4.0
 _CROSSING_RAD = np.deg2rad((40, 90))
 _STRUCK_S = (2.0, 4.0)  # duration of faults of frames
@@ -105,7 +106,8 @@ def _plant(
         evidence = changed[name].points[drop > drop.max() / 2]
         return changed, PlantedFault(kind, span, (name,), evidence)
     if kind == FaultKind.CONDUCTORS_TOO_CLOSE:
-        bulge = np.where((along > 0.2) & (along < 0.8), np.sin(np.pi * (along - 0.2) / 0.6) ** 2, 0.0)
+        ahead = along - np.clip(sum(middle) / 2, _CLOSE_HALF, 1 - _CLOSE_HALF)
+        bulge = np.where(np.abs(ahead) < _CLOSE_HALF, np.cos(np.pi / 2 * ahead / _CLOSE_HALF) ** 2, 0.0)
         shift = (_CLOSE_SHARE * bulge)[:, np.newaxis] * (neighbour.points - points)
         changed = move_stretch(line, name, shift)
         evidence = changed[name].points[_CLOSE_SHARE * bulge > 0.5]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from inspect_pipeline.simulation.ground import TEXEL_M
 from inspect_pipeline.simulation.hills import draw_hills
-from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
+from inspect_pipeline.simulation.options import LINE_FAULTS, FaultKind, FlightKind, SimulationOptions
 from inspect_pipeline.simulation.power_line import hang_line
 from inspect_pipeline.simulation.route import Route
 from inspect_pipeline.simulation.scene import Gaze, look
@@ -156,9 +156,10 @@ def test_a_spot_on_the_ground_of_hills_is_drawn_where_it_lies() -> None:
     assert (x.mean() + 0.5, y.mean() + 0.5) == pytest.approx(tuple(wanted), abs=0.5)
 
 
-@pytest.mark.parametrize("kind", [FaultKind.BROKEN_CONDUCTOR, FaultKind.CONDUCTOR_GAP])
-def test_a_fault_is_planted_where_a_hovering_drone_sees_it(kind: FaultKind) -> None:
+@pytest.mark.parametrize("kind", LINE_FAULTS)
+@pytest.mark.parametrize("flight", [FlightKind.HOVER, FlightKind.ORBIT])
+def test_a_fault_is_planted_where_a_drone_that_stays_sees_it(kind: FaultKind, flight: FlightKind) -> None:
     """It shows a part of a span; a fault anywhere in the middle of that span would often be missed."""
-    for seed in range(6):
-        options = replace(FLIGHT, seconds=20, seed=seed, flight=FlightKind.HOVER, faults=(kind,))
+    for seed in range(4):
+        options = replace(FLIGHT, seconds=20, fps=0.5, seed=seed, flight=flight, faults=(kind,))
         assert [fault.kind for fault in simulate_truth(options).faults] == [kind]

@@ -104,10 +104,9 @@ def gather_evidence(
 
 
 def evidence_lines(camera: CameraRows, rules: Rules) -> LineRows:
-    """Return lines confirmed by tracks; of photographs all lines."""
-    if camera.cadence(rules).is_video:
-        return confirmed_lines(camera.lines, rules)
-    return number_untracked(camera.lines)
+    """Return lines confirmed by tracks; of photographs all lines. Those without one have ids of their own."""
+    is_video = camera.cadence(rules).is_video
+    return number_untracked(confirmed_lines(camera.lines, rules) if is_video else camera.lines)
 
 
 def _look(axis: SpanAxis, cameras: CameraPoses, lines: LineRows, rules: Rules) -> SpanSight:

@@ -1,17 +1,19 @@
 """Rule about lines that cross a span: those that frames show in one place in space.
 
 Lines are projected to planes at several heights. On that of a line across the span, those of all frames
-coincide, whatever their tracks; false lines do not.
+coincide, whatever their tracks; false lines do not. Conductors of other spans cross nothing: those of known
+spans are told by their tracks, those of others by where they begin, at a structure of this span.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from inspect_pipeline.inspection.anomalies.frames import Finding
+from inspect_pipeline.inspection.conductors.votes import NO_CONDUCTOR
 from inspect_pipeline.inspection.rows import find_runs
 from inspect_pipeline.inspection.span_view import visible_gsd_m
 
@@ -29,6 +31,8 @@ _MAX_TURN_DEG, _MAX_AWAY_M = 6.0, 0.7  # of two that coincide
 _AWAY_SD = 1.5  # times the errors of positions: so much farther away they may be
 _MIN_LENGTH_M, _MAX_RANGE_M = 1.0, 80.0
 _MAX_PIECES = 600
+_MOSTLY = 0.5  # of the lines of a track
+_MAX_MISSED_M, _MAX_BEYOND_M = 1.0, 1.5  # an attachment: beside it, and beyond it, of what begins there
 _SHOWN_M = np.array([-2.0, 0.0, 2.0])  # from the middle of a line: points that a frame should show
 
 
@@ -60,11 +64,17 @@ class _Pieces:
         )
 
 
-def find_crossings_of_span(one: SpanEvidence, origin: LocalMetres, rules: Rules) -> Iterator[Finding]:
-    """Find the line across a span that most frames show, if those show it that should."""
+def find_crossings_of_span(
+    one: SpanEvidence, others: Sequence[SpanEvidence], origin: LocalMetres, rules: Rules
+) -> Iterator[Finding]:
+    """Find the line across a span that most frames show, if those show it that should.
+
+    others: further spans, whose conductors are no such lines.
+    """
     limits = rules.of("crossing_line")
     heights = np.arange(0.0, one.axis.height_m + _HEIGHT_STEP_M / 2, _HEIGHT_STEP_M)
-    planes = [_project(one.sight, height_m, rules) for height_m in heights.tolist()]
+    sight = _without_spans(one, others)
+    planes = [_project(sight, height_m, rules) for height_m in heights.tolist()]
     found = _most_alike(planes, one.sight.shift_sd_m)
     if found is None:
         return
@@ -91,8 +101,51 @@ def find_crossings_of_span(one: SpanEvidence, origin: LocalMetres, rules: Rules)
     )
 
 
-def _project(sight: SpanSight, height_m: float, rules: Rules) -> _Pieces:
-    """Return the lines across a span on a plane."""
+def _without_spans(one: SpanEvidence, others: Sequence[SpanEvidence]) -> SpanSight:
+    """Return the sight of a span without lines along other spans, and without what begins at its structures."""
+    lines = one.sight.lines
+    tracks = [_tracks_along(other) for other in others if other is not one]
+    is_other = np.isin(lines.track, np.concatenate(tracks)) if tracks else np.zeros(len(lines), bool)
+    is_other |= _begins_at_structure(one)
+    return replace(one.sight, lines=lines.take(np.flatnonzero(~is_other)))
+
+
+def _tracks_along(one: SpanEvidence) -> Ints:
+    """Return the tracks of which most lines are those of a conductor of the span."""
+    if one.votes is None:
+        return np.zeros(0, np.int64)
+    tracks, inverse, counts = np.unique(one.sight.lines.track, return_inverse=True, return_counts=True)
+    n_owned = np.bincount(inverse, one.votes.owner != NO_CONDUCTOR, len(tracks))
+    return np.asarray(tracks[n_owned > _MOSTLY * counts])
+
+
+def _begins_at_structure(one: SpanEvidence) -> Mask:
+    """Return which lines (L,) begin where a conductor is attached, and lead away from the span.
+
+    At a corner, arms are along the bisector.
+    """
+    sight, axis = one.sight, one.axis
+    begins = np.zeros(len(sight.lines), bool)
+    near_m = _MAX_MISSED_M + _AWAY_SD * sight.shift_sd_m
+    for place in one.places:
+        for outward, foot_m, height_m in ((-1, 0.0, axis.chord_m[0]), (1, axis.length_m, axis.chord_m[-1])):
+            ends = _ends_on_plane(sight, height_m + place.raised_m) - (foot_m, 0.0)
+            ends[:, 0] *= outward
+            first, second = ends[::2], ends[1::2]
+            is_swapped = (first[:, 0] > second[:, 0])[:, np.newaxis]
+            first, second = np.where(is_swapped, second, first), np.where(is_swapped, first, second)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                run = (second - first) / np.linalg.norm(second - first, axis=1)[:, np.newaxis]
+                arm_m = place.across_m * np.tan(np.arctan2(run[:, 1], run[:, 0]) / 2)
+                off = first - np.column_stack((-arm_m, np.full(len(run), place.across_m)))
+                missed_m = np.abs(off[:, 0] * run[:, 1] - off[:, 1] * run[:, 0])
+                beyond_m = -(off * run).sum(axis=1)
+                begins |= (missed_m <= near_m) & (beyond_m <= _MAX_BEYOND_M)
+    return begins
+
+
+def _ends_on_plane(sight: SpanSight, height_m: float) -> Floats:
+    """Return both ends of lines (2L, 2) on a plane, in metres along and across; NaN where far away."""
     lines, axis = sight.lines, sight.axis
     frame = np.repeat(lines.frame, 2)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -100,9 +153,14 @@ def _project(sight: SpanSight, height_m: float, rules: Rules) -> _Pieces:
         reach = (height_m - sight.cameras.positions[frame, 2]) / rays[:, 2]
         away = reach[:, np.newaxis] * rays[:, :2]
         away[~((reach > 0) & (np.linalg.norm(away, axis=1) <= _MAX_RANGE_M))] = np.nan
-    ends = np.column_stack(
+    return np.column_stack(
         (sight.from_m[frame] + away @ axis.along, sight.side_m[frame] + away @ axis.across)
     )
+
+
+def _project(sight: SpanSight, height_m: float, rules: Rules) -> _Pieces:
+    """Return the lines across a span on a plane."""
+    lines, axis, ends = sight.lines, sight.axis, _ends_on_plane(sight, height_m)
     begin, end = ends[::2], ends[1::2]
     runs = end - begin
     length_m = np.linalg.norm(runs, axis=1)

@@ -75,7 +75,7 @@ def find_on_spans(
             moved = list(find_converging(one, conductors, origin, rules))
         known = {number for finding in moved for number in finding.conductors}
         findings += moved
-        findings += find_crossings_of_span(one, origin, rules)
+        findings += find_crossings_of_span(one, evidence, origin, rules)
         if expected:
             found = find_count_changes(one, expected, origin, rules)
             findings += [each for each in found if not known.intersection(each.conductors)]

@@ -114,8 +114,8 @@ def test_every_query_of_the_readme_runs(run: Callable[..., str], small_flight: P
 def test_every_command_is_documented() -> None:
     for name in filter(None, all_commands()):
         words = name.split()
-        assert re.search(rf"\b{words[:2][-1]}\b", README), name
-        assert name in CLI or f"`{words[-1]}`" in CLI, name
+        assert re.search(rf"`(lsnet-pipe )?{words[0]}\b", README), name
+        assert f"lsnet-pipe {name}" in CLI or f"`{name}" in CLI or f"`{words[-1]}`" in CLI, name
 
 
 def test_every_option_of_process_is_documented() -> None:

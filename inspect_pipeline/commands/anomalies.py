@@ -53,7 +53,7 @@ def list_anomalies(
     from inspect_pipeline.index.flights import find_flights
 
     source = open_store(store)
-    rows = select_anomalies(source, find_flights(source, flight) if flight else [])
+    rows = select_anomalies(source, [] if flight is None else find_flights(source, flight))
     priorities = PRIORITIES[: PRIORITIES.index(priority) + 1] if priority else PRIORITIES
     shown = [row for row in rows if row["priority"] in priorities and (show_all or row["verdict"] == "open")]
     if as_json:

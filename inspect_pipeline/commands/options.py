@@ -147,7 +147,9 @@ GroundAltOption = Annotated[
 ]
 DemOption = Annotated[
     Path | None,
-    typer.Option("--dem", metavar="FILE", help="Terrain model (GeoTIFF) of the ground; needs extra geo."),
+    typer.Option(
+        "--dem", metavar="FILE", help="Terrain model of the ground, as a GeoTIFF or ASCII grid (extra geo)."
+    ),
 ]
 ViewOption = Annotated[
     float | None,
@@ -179,7 +181,7 @@ FlightOption = Annotated[
     str | None,
     typer.Option(
         metavar="FLIGHT",
-        help="Only this flight: its flight_id or the start, the name of its recording, or last.",
+        help="Only this flight: its flight_id or its start, the name of its recording, or last.",
     ),
 ]
 FlightArgument = Annotated[

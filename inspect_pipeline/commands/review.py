@@ -43,7 +43,7 @@ def review(
     from inspect_pipeline.review.decisions import Publisher
     from inspect_pipeline.review.server import ADDRESS, ReviewServer
 
-    flight_id = find_flight(source, flight) if flight else None
+    flight_id = None if flight is None else find_flight(source, flight)
     with Publisher(source) as publisher:
         publisher.request()  # what an older version or a killed publish left undone
         try:

@@ -1,4 +1,4 @@
-"""Ground below the camera: where rays meet flat ground, or a terrain model (GeoTIFF, extra `geo`).
+"""Ground below the camera: where rays meet flat ground, or a terrain model (extra `geo`).
 
 The only user of rasterio. Only differences of a model's heights are used, so its vertical datum does not
 matter.
@@ -114,7 +114,9 @@ def load_elevation(path: Path) -> Elevation:
             inverse, crs = ~model.transform, model.crs.to_wkt()
         from_degrees = pyproj.Transformer.from_crs("EPSG:4979", crs, always_xy=True)
     except (rasterio.errors.RasterioError, pyproj.exceptions.ProjError) as error:
-        raise TerrainError(path, "cannot be read as a terrain model", "give a GeoTIFF") from error
+        raise TerrainError(
+            path, "cannot be read as a terrain model", "give a GeoTIFF or an ASCII grid"
+        ) from error
     to_cells = np.array([[inverse.a, inverse.b, inverse.c - 0.5], [inverse.d, inverse.e, inverse.f - 0.5]])
     return Elevation(heights_m, to_cells, from_degrees)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from inspect_pipeline.index.schema import views_digest
 from inspect_pipeline.inspection.rules import load_rules
 from inspect_pipeline.resources import MIGRATIONS, app_version
 
@@ -30,7 +31,8 @@ def input_digests(store: Store) -> dict[str, str]:
     Raises RulesError.
     """
     program = f"{app_version()} {len(MIGRATIONS)}"
-    digests = {"program": _sha256(program.encode()), "rules": load_store_rules(store).sha256}
+    digests = {"program": _sha256(program.encode()), "views.sql": views_digest()}
+    digests["rules"] = load_store_rules(store).sha256
     for name in ("spans.geojson", "reviews.jsonl", "tags.jsonl"):
         path = store.root / name
         digests[name] = _sha256(path.read_bytes() if path.exists() else b"")

@@ -32,6 +32,7 @@ from inspect_pipeline.index.schema import (
     count_migrations,
     create_tables,
     first_line,
+    has_views,
     index_error,
     is_locked,
     table_names,
@@ -233,7 +234,7 @@ def _write(
     is_new: bool,
 ) -> None:
     """Bring an index up to date with `flights`, of which some have `changed`. Raises DATABASE_ERRORS."""
-    has_views = not is_new and _is_of_this_program(connection)
+    keeps_views = not is_new and _is_of_this_program(connection) and has_views(connection)
     create_tables(connection)
     stale = [] if is_new else [*removed, *(flight.record.flight_id for flight in changed)]
     replace_rows(connection, stale, changed)
@@ -244,7 +245,7 @@ def _write(
         from inspect_pipeline.index.derived import refresh  # noqa: PLC0415 - SciPy, half a second
 
         refresh(connection, store, [flight.record.flight_id for flight in changed])
-    if not has_views:  # they take as long as the rows of a short flight
+    if not keeps_views:  # they take as long as the rows of a short flight
         connection.execute(read_schema("views.sql"))
         connection.execute("UPDATE schema_version SET app_version = ?", [app_version()])
     insert_checksums(connection)

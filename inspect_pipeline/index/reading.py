@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import duckdb
 
 from inspect_pipeline.errors import StoreError, StoreVersionError
-from inspect_pipeline.index.schema import CONFIG, DATABASE_ERRORS, REBUILD, count_migrations, index_error
+from inspect_pipeline.index.schema import (
+    CONFIG,
+    DATABASE_ERRORS,
+    REBUILD,
+    count_migrations,
+    has_views,
+    index_error,
+)
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 
 if TYPE_CHECKING:
@@ -56,7 +63,7 @@ def open_index(store: Store) -> Iterator[IndexReader]:
         raise StoreError(store.root, "there is no index", "run lsnet-pipe process first")
     try:
         with duckdb.connect(path, read_only=True, config=CONFIG) as connection:
-            if count_migrations(connection) != len(MIGRATIONS):
+            if count_migrations(connection) != len(MIGRATIONS) or not has_views(connection):
                 raise StoreVersionError(path, "the index is of another version", REBUILD)
             yield IndexReader(connection)
     except DATABASE_ERRORS as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -69,3 +70,14 @@ def count_migrations(connection: duckdb.DuckDBPyConnection) -> int:
     except duckdb.CatalogException:
         return 0
     return int(row[0]) if row and row[0] else 0
+
+
+def views_digest() -> str:
+    """Return a hash of the definitions of the views."""
+    return hashlib.sha256(read_schema("views.sql").encode()).hexdigest()
+
+
+def has_views(connection: duckdb.DuckDBPyConnection) -> bool:
+    """Whether a database has the views of this program."""
+    row = connection.execute("SELECT sha256 FROM inputs WHERE name = 'views.sql'").fetchone()
+    return row == (views_digest(),)

@@ -131,7 +131,7 @@ def plan_flight(options: SimulationOptions) -> FlightPlan:
     rng = np.random.default_rng([options.seed, 1])
     n_structures = options.n_structures or _n_passed(options)
     wind_rad = float(np.deg2rad(options.wind_deg))
-    route = Route(_corner_m(options), float(np.deg2rad(options.corner_deg)), options.hills_m)
+    route = Route(_corner_m(options, n_structures), float(np.deg2rad(options.corner_deg)), options.hills_m)
     line = hang_line(
         _FIRST_STRUCTURE,
         n_structures,
@@ -164,9 +164,13 @@ def _passed_m(options: SimulationOptions) -> float:
     return SPEED_M_S * options.seconds if passes else 0.0
 
 
-def _corner_m(options: SimulationOptions) -> float:
-    """Return how far along the structure is at which the line may turn: the second one or a later one."""
-    return max(1, round(_passed_m(options) / 2 / SPAN_M)) * SPAN_M
+def _corner_m(options: SimulationOptions, n_structures: int) -> float:
+    """Return how far along the structure is at which the line may turn.
+
+    It is the one nearest to the middle of what is flown by, but ahead of the start, and not the last.
+    """
+    middle = max(1, round(_passed_m(options) / 2 / SPAN_M))
+    return min(middle, _FIRST_STRUCTURE + n_structures - 2) * SPAN_M
 
 
 def _axis(line: PowerLine) -> tuple[Floats, Floats]:

@@ -37,6 +37,12 @@ class Route:
         places[..., 0] += at
         return places
 
+    def along(self, places: Floats) -> Floats:
+        """Return how far along the line (...) the places x, y (..., 2) beside it are."""
+        ahead = np.array([np.cos(self.corner_rad), np.sin(self.corner_rad)])
+        beyond: Floats = np.maximum((places - (self.corner_m, 0.0)) @ ahead, 0.0)
+        return np.minimum(places[..., 0], self.corner_m) + beyond
+
     def headings_rad(self, along: ArrayLike) -> Floats:
         """Return the directions (...) of the line, turned left from x, at distances along it (...)."""
         headings: Floats = np.where(np.asarray(along) > self.corner_m, self.corner_rad, 0.0)

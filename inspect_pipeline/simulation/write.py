@@ -73,10 +73,13 @@ _JPEG_QUALITY = 92
 def simulate_flight(target: Path, options: SimulationOptions) -> Path:
     """Write a recording, or a folder of photographs, to `target` and the truth beside it: return its path.
 
-    Raises OutputError when the target exists or cannot be written, LSNetError for a photograph that cannot
-    be read, or without Mitsuba where that is asked for.
+    Raises OutputError when the target or a truth beside it exists, or cannot be written; LSNetError for a
+    photograph that cannot be read, or without Mitsuba where that is asked for.
     """
-    truth_path = target.with_suffix(".truth.json")
+    truth_path = target.parent / f"{target.stem}.truth.json"
+    for path in (target, truth_path):
+        if path.exists():
+            raise OutputError(path, "it exists already", "remove it or name another file")
     plan = plan_flight(options)
     truth = truth_of(plan)
     try:
@@ -97,8 +100,6 @@ def simulate_flight(target: Path, options: SimulationOptions) -> Path:
 
 def _take_photographs(target: Path, plan: FlightPlan, truth: FlightTruth) -> None:
     """Write a JPEG for each frame, with its pose and nominal lens, by the camera's clock. Raises OSError."""
-    if target.exists():
-        raise FileExistsError
     rng = np.random.default_rng(plan.options.seed)
     landscape = _make_landscape(rng, plan)
     with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
@@ -141,15 +142,16 @@ def _fly(author: Author, plan: FlightPlan, truth: FlightTruth) -> None:
 
 
 def _make_landscape(rng: np.random.Generator, plan: FlightPlan) -> Landscape:
-    flown_x = [plan.pose(shot.time_ns).position[0] for shot in plan.shots()]
+    route = plan.line.route
+    flown = route.along(np.array([plan.pose(shot.time_ns).position[:2] for shot in plan.shots()]))
     sun = np.array(_SUNS[plan.options.weather])
     sun /= np.linalg.norm(sun)
     return Landscape(
         ground=_make_ground(rng, plan.options.ground),
-        trees=plant_trees(rng, min(flown_x) + _VIEW_M[0], max(flown_x) + _VIEW_M[1], sun, plan.line.route),
+        trees=plant_trees(rng, flown.min() + _VIEW_M[0], flown.max() + _VIEW_M[1], sun, route),
         conductors=(*plan.line.foreign, *plan.line.conductors),
         structures=plan.line.structures,
-        route=plan.line.route,
+        route=route,
         crossarm_half_m=plan.line.half_width_m + _ARM_BEYOND_M,
         sun=sun,
         towers=plan.options.towers,

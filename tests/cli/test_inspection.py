@@ -110,6 +110,8 @@ def test_flights_by_name(store: Store) -> None:
         for name in ("last", Path(stored[0]["source_uri"]).stem):
             done = CliRunner().invoke(cli.app, [*command, name])
             assert (done.exit_code, done.output) == (by_id.exit_code, by_id.output)
+        done = CliRunner().invoke(cli.app, [*command, ""])  # as of a variable that is not set
+        assert (done.exit_code, done.stdout) == (1, "")
 
 
 def test_a_review_lasts_and_settles_the_check(store: Store) -> None:

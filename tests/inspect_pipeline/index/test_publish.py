@@ -15,6 +15,7 @@ from stores import TABLES, answers, ask
 from inspect_pipeline.errors import StoreError, StoreVersionError
 from inspect_pipeline.index import publish as index
 from inspect_pipeline.index import schema
+from inspect_pipeline.index.reading import select
 from inspect_pipeline.index.verify import verify
 from inspect_pipeline.resources import MIGRATIONS, read_schema
 from inspect_pipeline.store.feedback import add_tag
@@ -171,6 +172,16 @@ def test_a_new_release_brings_its_views(store: Store, monkeypatch: pytest.Monkey
     monkeypatch.setattr(index, "app_version", lambda: "99.0")
     index.publish(store)
     assert ask(store, "SELECT DISTINCT app_version FROM schema_version") == [("99.0",)]
+
+
+def test_other_views_are_refused_and_replaced_by_the_next_publish(store: Store) -> None:
+    with duckdb.connect(store.index_path) as connection:
+        connection.execute("CREATE OR REPLACE VIEW flight_summary AS SELECT 1 AS old")
+        connection.execute("UPDATE inputs SET sha256 = 'older' WHERE name = 'views.sql'")
+    with pytest.raises(StoreVersionError, match="of another version; run lsnet-pipe index rebuild"):
+        select(store, "SELECT n_frames FROM flight_summary")
+    assert index.publish(store).n_written == 0
+    assert len(select(store, "SELECT n_frames FROM flight_summary")) == 2
 
 
 def test_a_full_disk_leaves_the_old_index(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,8 +43,10 @@ def test_photographs_say_where_and_when_they_were_taken(tmp_path: Path, flat_gro
         said = {name: float(value) for name, value in re.findall(r'drone-dji:(\w+)="([^"]+)"', xmp)}
         assert said["GimbalPitchDegree"] == pytest.approx(frame["cam_pitch_deg"], abs=1e-5)
         assert said["RelativeAltitude"] == pytest.approx(frame["height_m"], abs=1e-3)
-    with pytest.raises(OutputError, match="it exists already"):
-        simulate_flight(folder, OPTIONS)
+    for taken in (folder, folder.with_suffix(".mcap")):  # whose truth would replace that of the photographs
+        with pytest.raises(OutputError, match="it exists already"):
+            simulate_flight(taken, OPTIONS)
+    assert json.loads((tmp_path / "DCIM.truth.json").read_text()) == truth
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 

@@ -49,6 +49,21 @@ def test_the_line_turns_once_by_its_corner_and_the_drone_with_it() -> None:
     assert seen[corner] == seen[corner + 1] == 1  # before and after the corner
 
 
+@pytest.mark.parametrize("n_structures", [3, 4, 8])
+def test_a_line_that_ends_turns_at_a_structure_within_it(n_structures: int) -> None:
+    turns = np.diff(azimuths(simulate_truth(replace(FLIGHT, n_structures=n_structures))))
+    assert np.abs((turns + 180) % 360 - 180).max() == pytest.approx(30, abs=0.01)
+
+
+@pytest.mark.parametrize("corner_rad", [0.0, 0.5, -1.0])
+def test_places_beside_a_line_are_as_far_along_it_as_those_on_it(corner_rad: float) -> None:
+    route, along = Route(corner_m=110, corner_rad=corner_rad), np.array([-60.0, 20.0, 90.0, 140.0, 500.0])
+    places = route.places(along)
+    left = [route.arm(metres) for metres in along]
+    for away_m in (-7, 0, 7):
+        assert route.along(places + away_m * np.array(left)) == pytest.approx(along, abs=1e-9)
+
+
 @pytest.mark.parametrize("flight", list(FlightKind))
 def test_the_drone_keeps_its_height_above_hills(flight: FlightKind, tmp_path: Path) -> None:
     options = replace(FLIGHT, flight=flight)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -28,8 +29,6 @@ from inspect_pipeline.simulation.scene import Gaze, look, visible_parts
 from inspect_pipeline.simulation.write import SimulationOptions, simulate_flight
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 OPTIONS = SimulationOptions(seconds=1, fps=2, image_size=(360, 640), seed=3)
@@ -114,6 +113,8 @@ def test_what_exists_is_kept(flight: Path) -> None:
     with pytest.raises(OutputError, match="it exists already; remove it"):
         simulate_flight(flight, OPTIONS)
     assert flight.read_bytes() == before
+    with pytest.raises(OutputError, match="it exists already"):
+        simulate_flight(Path(), OPTIONS)
     with pytest.raises(OutputError, match="cannot be written"):
         simulate_flight(flight.parent / "no" / "demo.mcap", OPTIONS)
 

@@ -23,7 +23,7 @@ from lsnet.tiles import join, tiles_of
 from lsnet.weights_file import WeightsFile, read_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
 
     from lsnet.arrays import ImageArray, Maps
@@ -139,27 +139,32 @@ class Detector:
             prepared = [
                 prepare(image, level) for image, own in zip(opened, levels, strict=True) for level in own
             ]
-        with timed("infer"):
-            maps = self._run(prepared)
-        with timed("merge"):
-            found = iter(
-                [self._postprocess(m, image, min_line_score) for m, image in zip(maps, prepared, strict=True)]
-            )
-            return [merge_levels([next(found) for _ in own], own) for own in levels]
+        maps, remaining = self._run(prepared), iter(prepared)
+
+        def find() -> Detections:
+            with timed("infer"):
+                raw = next(maps)
+            with timed("merge"):
+                return self._postprocess(raw, next(remaining), min_line_score)
+
+        found = []
+        for own in levels:
+            at_levels = [find() for _ in own]
+            with timed("merge"):
+                found.append(merge_levels(at_levels, own))
+        return found
 
     def levels_of(self, image: ImageArray) -> tuple[float, ...]:
         """Return the factors by which an image is resized before detection."""
         return levels_of((image.shape[0], image.shape[1])) if self.scale is None else (self.scale,)
 
-    def _run(self, prepared: Sequence[PreparedImage]) -> list[Maps]:
-        """Raw maps of each image; very large images are run in tiles."""
+    def _run(self, prepared: Sequence[PreparedImage]) -> Iterator[Maps]:
+        """Yield the raw maps of each image; very large images are run in tiles."""
         max_pixels = self._card.network.pixels_at_once
         tiles = [tiles_of(*image.padded_size, max_pixels) for image in prepared]
         windows = [
             image.pixels[tile.window] for image, cut in zip(prepared, tiles, strict=True) for tile in cut
         ]
         maps = iter(self._backend.run(windows))
-        return [
-            join(*image.padded_size, cut, [next(maps) for _ in cut])
-            for image, cut in zip(prepared, tiles, strict=True)
-        ]
+        for image, cut in zip(prepared, tiles, strict=True):
+            yield join(*image.padded_size, cut, [next(maps) for _ in cut])

@@ -55,7 +55,7 @@ def _is_kept(points: Sequence[Floats32], scores: Floats32, level_of: Indices, re
     overlaps = find_overlaps(polylines, polylines, reach_px)
     kept = np.zeros(len(points), bool)
     for i in np.argsort(-scores, kind="stable"):
-        kept[i] = overlaps.shares(kept & (level_of != level_of[i]))[i] < DOUBLE_SHARE
+        kept[i] = overlaps.share_of(i, kept & (level_of != level_of[i])) < DOUBLE_SHARE
     return kept
 
 

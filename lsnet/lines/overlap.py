@@ -25,7 +25,7 @@ class Overlaps:
 
     Attributes:
         line_of: (P,) number of the line of each piece.
-        pieces, others: (Q,) a piece, and the number of another line that it lies on.
+        pieces, others: (Q,) a piece, in ascending order, and the number of another line that it lies on.
         counts: (C,) pieces of each line.
     """
 
@@ -34,11 +34,17 @@ class Overlaps:
     others: Indices
     counts: Indices
 
-    def shares(self, is_other: Mask | None = None) -> Floats:
-        """Return (C,) shares of the length of lines that lie on any of the others, or on those chosen."""
-        pieces = self.pieces if is_other is None else self.pieces[is_other[self.others]]
-        on = self.line_of[np.unique(pieces)]
+    def shares(self) -> Floats:
+        """Return (C,) shares of the length of lines that lie on any of the others."""
+        on = self.line_of[np.unique(self.pieces)]
         return np.bincount(on, minlength=len(self.counts)) / np.maximum(self.counts, 1)
+
+    def share_of(self, line: int, is_other: Mask) -> float:
+        """Return the share of the length of one line that lies on any of the others chosen."""
+        first, last = np.searchsorted(self.line_of, [line, line + 1])  # pieces are in the order of lines
+        begin, end = np.searchsorted(self.pieces, [first, last])
+        on = self.pieces[begin:end][is_other[self.others[begin:end]]]
+        return float(len(np.unique(on)) / max(self.counts[line], 1))
 
 
 def find_overlaps(lines: Polylines, others: Polylines, reach_px: float) -> Overlaps:

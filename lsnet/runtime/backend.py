@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from lsnet.runtime.choice import choose_backend, choose_device
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from lsnet.arrays import ImageArray, Maps
     from lsnet.weights_file import WeightsFile
@@ -35,8 +35,8 @@ class Backend(Protocol):
     n_calls: int
     n_images: int
 
-    def run(self, images: Sequence[ImageArray]) -> list[Maps]:
-        """Return the raw maps of each image, in order."""
+    def run(self, images: Sequence[ImageArray]) -> Iterable[Maps]:
+        """Return the raw maps of each image, in order; later images may run while the first are looked at."""
         ...
 
 

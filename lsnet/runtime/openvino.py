@@ -14,7 +14,7 @@ from lsnet.runtime.choice import import_openvino, openvino_core
 from lsnet.runtime.networks import convert_network, read_network
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from lsnet.arrays import ImageArray, Maps
     from lsnet.model import LSNet
@@ -31,11 +31,10 @@ class _Compiled(NamedTuple):
 
 
 class _Running(NamedTuple):
-    """A request, where it goes when it is done, the number of its image, and the image, which it reads."""
+    """A request, where it goes when it is done, and the image, which it reads."""
 
     request: Any
     idle: SimpleQueue[Any]
-    number: int
     image: ImageArray
 
 
@@ -79,28 +78,25 @@ class OpenVinoBackend:
         """Convert a network. Raises LSNetError without OpenVINO, or without NNCF for int8."""
         return cls(convert_network(net, precision), precision, net.config.pixels_at_once, threads)
 
-    def run(self, images: Sequence[ImageArray]) -> list[Maps]:
-        """Return the raw maps of each image, in order; several run at a time, one per stream."""
-        results: list[Any] = [None] * len(images)
+    def run(self, images: Sequence[ImageArray]) -> Iterator[Maps]:
+        """Yield the raw maps of each image, in order; the next ones run meanwhile."""
         running: deque[_Running] = deque()
-        for i, image in enumerate(images):
-            idle = self._compiled_for(*image.shape[:2]).idle
-            request = self._take(idle, running, results)
-            with self._lock:
-                request.start_async({0: image[None]}, share_inputs=True)
-            running.append(_Running(request, idle, i, image))
-        while running:
-            _finish(running.popleft(), results)
-        return results
-
-    @staticmethod
-    def _take(idle: SimpleQueue[Any], running: deque[_Running], results: list[Any]) -> Any:
-        """Take an idle request; none is kept running while it waits for those of other threads."""
-        while True:
-            try:
-                return idle.get(block=not running)
-            except Empty:
-                _finish(running.popleft(), results)
+        done: deque[Maps] = deque()
+        try:
+            for image in images:
+                idle = self._compiled_for(*image.shape[:2]).idle
+                while (request := _take(idle, is_awaited=not running)) is None:
+                    done.append(_finish(running.popleft()))
+                with self._lock:
+                    request.start_async({0: image[None]}, share_inputs=True)
+                running.append(_Running(request, idle, image))
+                while done:
+                    yield done.popleft()
+            while running:
+                yield _finish(running.popleft())
+        finally:
+            for each in running:  # the caller wants no more
+                _finish(each)
 
     def _compiled_for(self, height: int, width: int) -> _Compiled:
         """Return the network for an image size; those not used for longest are dropped for memory."""
@@ -126,7 +122,7 @@ class OpenVinoBackend:
         }
         compiled = openvino_core().compile_model(model, "CPU", options)
         idle: SimpleQueue[Any] = SimpleQueue()
-        for _ in range(streams):
+        for _ in range(streams + 1):  # one waits, so that no stream does
             idle.put(compiled.create_infer_request())
         return _Compiled(idle, streams * height * width)
 
@@ -140,10 +136,19 @@ def _prepare_tensors() -> None:
     _ = import_openvino().Tensor(np.zeros((1, 1, 1, 3), np.uint8), shared_memory=True).data
 
 
-def _finish(one: _Running, results: list[Any]) -> None:
-    """Wait for a request, and keep its maps."""
+def _take(idle: SimpleQueue[Any], *, is_awaited: bool) -> Any | None:
+    """Take an idle request; None if there is none. Whoever awaits one must keep none running."""
+    try:
+        return idle.get(block=is_awaited)
+    except Empty:
+        return None
+
+
+def _finish(one: _Running) -> Maps:
+    """Wait for a request, and return its maps."""
     try:
         one.request.wait()
-        results[one.number] = tuple(one.request.get_output_tensor(k).data[0].copy() for k in (0, 1))
+        scores, endpoints = (one.request.get_output_tensor(k).data[0].copy() for k in (0, 1))
+        return scores, endpoints
     finally:
         one.idle.put(one.request)

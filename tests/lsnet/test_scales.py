@@ -71,5 +71,5 @@ def test_levels_without_lines_change_nothing() -> None:
 def test_a_double_beyond_a_third_line_is_found() -> None:
     """At the reach of coarse levels, a line and a near one have more pieces nearby than its double."""
     lines = Polylines.of([np.array([[10.0, y], [400.0, y]]) for y in (50, 54, 58)])
-    shares = find_overlaps(lines, lines, 12.0).shares(np.array([True, False, False]))
-    np.testing.assert_array_equal(shares > 0.9, True)
+    overlaps, is_first = find_overlaps(lines, lines, 12.0), np.array([True, False, False])
+    assert all(overlaps.share_of(line, is_first) > 0.9 for line in range(3))

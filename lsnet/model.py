@@ -172,5 +172,16 @@ class LSNet(nn.Module):
     def forward(self, images: Tensor) -> RawOutput:
         """Run a batch; the results equal those of its images one by one."""
         x = (images - self.config.pixel_mean) / self.config.pixel_std
-        features = self.shared(self.extractor(x.to(self.classifier[-1].weight.dtype)))  # type: ignore[arg-type]
+        return self.run(x.to(self.dtype))
+
+    def run(self, pixels: Tensor) -> RawOutput:
+        """Run a batch of normalised pixels."""
+        features = self.shared(self.extractor(pixels))
         return RawOutput(self.classifier(features), self.regressor(features))
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Type of the weights."""
+        weight = self.classifier[-1].weight
+        assert isinstance(weight, Tensor)  # noqa: S101
+        return weight.dtype

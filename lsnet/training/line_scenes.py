@@ -126,7 +126,7 @@ def examples_in(
         backend: The network.
     """
     prepared, config = prepare(image, level), ChainingConfig()
-    maps = backend.run([prepared.pixels])[0]
+    (maps,) = backend.run([prepared.pixels])
     decoded = GridCoder().decode(*maps, prepared.padded_size, config.min_segment_score)
     segments = clip_segments(decoded, prepared.scaled_size)
     proposals, _ = propose_lines(segments, max(prepared.scale, 1.0), config)

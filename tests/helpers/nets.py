@@ -29,6 +29,7 @@ TINY = LSNetConfig(
     norm="batch",
     downsample="first",
     residual=True,
+    pixel_mean=128 / 255,  # the grey that backends put beside images
 )
 
 

@@ -102,7 +102,7 @@ def find_crossings_of_span(
 
 
 def _without_spans(one: SpanEvidence, others: Sequence[SpanEvidence]) -> SpanSight:
-    """Return the sight of a span without lines along other spans, and without what begins at its structures."""
+    """Return the sight of a span without lines along others, and those that begin at its structures."""
     lines = one.sight.lines
     tracks = [_tracks_along(other) for other in others if other is not one]
     is_other = np.isin(lines.track, np.concatenate(tracks)) if tracks else np.zeros(len(lines), bool)

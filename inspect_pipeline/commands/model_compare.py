@@ -38,6 +38,14 @@ class Device(StrEnum):
     CPU = "cpu"
 
 
+def _check_thinner(number: int) -> int:
+    """Refuse what the channels of the paper's networks cannot be divided by."""
+    if number not in _THINNER:
+        raise typer.BadParameter(f"{number} is not one of {', '.join(map(str, _THINNER))}")
+    return number
+
+
+_THINNER = (1, 2, 4, 8)
 FoldersArgument = Annotated[list[Path], typer.Argument(metavar="DIR", help="Evaluation sets with truth.")]
 ImagesOption = Annotated[int, typer.Option(min=1, metavar="N", help="Drawn images to train on.")]
 StepsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Batches to train each network on.")]
@@ -46,7 +54,11 @@ CropOption = Annotated[int, typer.Option(min=64, metavar="PX", help="Side of the
 SeedsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Trainings of each network.")]
 ThinnerOption = Annotated[
     int,
-    typer.Option(min=1, max=8, metavar="N", help="Divide the channels of the paper's networks by this."),
+    typer.Option(
+        callback=_check_thinner,
+        metavar="1|2|4|8",
+        help="Divide the channels of the paper's networks by this.",
+    ),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to train. Default: a GPU if torch can use one.")]
 MethodOption = Annotated[

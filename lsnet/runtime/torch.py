@@ -41,8 +41,8 @@ class InferenceModule(nn.Module):
 def fold_pixels(net: LSNet) -> LSNet:
     """Fold the normalisation of pixels into the first convolution of a network, for pixels less `CENTRE`.
 
-    Less a whole number, pixels are exact in bf16 and in 8 bits. The padding then stands for this grey, half a
-    level beside that of training.
+    Changes the network in place. `CENTRE` is a whole number so that pixels stay exact in bf16 and in 8 bits.
+    Convolutions then pad with this grey, half a level beside that of training.
     """
     first = next(module for module in net.modules() if isinstance(module, nn.Conv2d))
     with torch.no_grad():

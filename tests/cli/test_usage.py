@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         ["query", "SELECT 1", "-o", ""],
         ["overlay", "last", "-o", ""],
         ["flights", "list", "--store", ""],
+        ["model", "ablate", "photos", "--run", "r", "--thinner", "3"],
         ["flights", "list", "--timezone", "Mars/Olympus"],
     ],
 )

@@ -119,6 +119,7 @@ class Trainings:
             LSNetError: A folder cannot be used.
         """
         self.comparison, self._report, self._steps_done = comparison, report, 0
+        digests = [_digest_of_set(folder) for folder in comparison.sets]  # before a set is drawn for nothing
         make_folder(comparison.folder)
         count = comparison.images + VALIDATION_IMAGES
         folders = [BackgroundFolder.parse(text) for text in comparison.backgrounds]
@@ -134,8 +135,9 @@ class Trainings:
             as_paper=comparison.as_paper,
             on_image=lambda: report("draw", 0),
         )
-        self.sets = (*comparison.sets, write_held_out(self.drawn, comparison.images))
-        self._scored_on = _digest([_digest_of_set(folder) for folder in self.sets])
+        held_out = write_held_out(self.drawn, comparison.images)
+        self.sets = (*comparison.sets, held_out)
+        self._scored_on = _digest([*digests, _digest_of_set(held_out)])
 
     def run_of(self, variant: Variant) -> Path:
         """Return the folder of the run of a variant: a digest of all that its weights depend on."""

@@ -154,6 +154,7 @@ def test_sets_without_truth_and_large_crops_are_one_line(tmp_path: Path) -> None
     cv2.imwrite(str(tmp_path / "plain/a.png"), np.zeros((70, 70, 3), np.uint8))
     with pytest.raises(LSNetError, match="plain: has no pixel truth"):
         Trainings(Comparison(tmp_path, (), (tmp_path / "plain",), images=1, crop=64), workers=0)
+    assert [path.name for path in tmp_path.iterdir()] == ["plain"]  # nothing was drawn
     with pytest.raises(LSNetError, match="crops of 128 px do not fit the drawn images; give at most 96"):
         Comparison(tmp_path, (), (), crop=128)
 

@@ -16,6 +16,10 @@ def lines(
         Path, typer.Option("--output", "-o", metavar="FILE", help="The .safetensors file to write.")
     ],
     background: BackgroundOption = None,
+    rendered: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Pictures of `model synth` to lay over --background."),
+    ] = None,
     weights: WeightsOption = "fast",
     scenes: Annotated[int, typer.Option(min=1, metavar="N", help="Number of scenes to draw.")] = 6000,
     seed: Annotated[
@@ -24,17 +28,26 @@ def lines(
 ) -> None:
     """Train the score of lines.
 
-    The network of the weights proposes lines in drawn scenes and in photographs without wires; two small
-    networks learn which of them are wires. The network itself stays as it is.
+    The network of the weights proposes lines in drawn and rendered scenes and in photographs without wires;
+    small networks learn which of them are wires. The network itself stays as it is. The last tenth of the
+    photographs of each folder, and of the rendered pictures, is for validation only.
 
     \b
     Examples:
-      lsnet-pipe model lines --background photos:500 -o better.safetensors
+      lsnet-pipe model lines --background photos:500 --rendered renders -o better.safetensors
     """
-    from lsnet.training.line_score import train_line_score
+    from lsnet.training.line_score import held_out_of, train_line_score
 
-    with progress_bar("lines", scenes) as advance:
-        sha256 = train_line_score(
-            weights, background or (), output, scenes=scenes, seed=seed, on_scene=advance
+    with progress_bar("lines", scenes + held_out_of(scenes)) as advance:
+        trained = train_line_score(
+            weights,
+            background or (),
+            output,
+            rendered=rendered,
+            scenes=scenes,
+            seed=seed,
+            on_scene=advance,
         )
-    typer.echo(f"{output}: sha256 {sha256}; next: lsnet-pipe detect --weights {output}")
+    if trained.validation:
+        typer.echo(f"validation: {trained.validation}")
+    typer.echo(f"{output}: sha256 {trained.sha256}; next: lsnet-pipe detect --weights {output}")

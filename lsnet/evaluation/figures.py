@@ -15,7 +15,7 @@ from lsnet.evaluation.rasterize import confidence_map, otsu_mask
 from lsnet.images import load_rgb
 from lsnet.synth import augment
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
-from lsnet.synth.dataset import to_uint8
+from lsnet.synth.drawing import to_uint8
 from lsnet.synth.geometric import crop, flip
 from lsnet.synth.scene import add_cables
 

@@ -13,7 +13,7 @@ from lsnet.lines.features import FEATURES, features_of, log_odds
 from lsnet.weights_file import LINE_SCORE_PREFIX, unusable
 
 if TYPE_CHECKING:
-    from lsnet.arrays import Floats, Floats32, ImageArray
+    from lsnet.arrays import Floats, Floats32, ImageArray, RealArray
     from lsnet.lines.proposals import Proposals
     from lsnet.weights_file import WeightsFile
 
@@ -61,6 +61,17 @@ class LineScore:
         out: Floats32 = (x @ self.weights[-1] + self.biases[-1])[..., 0]
         return out
 
+    def scores(self, features: Floats32, priors: RealArray) -> Floats:
+        """Return (C,) scores of features (C, FEATURES) and prior scores (C,)."""
+        logits = self.blend[:-2] @ self.logits(features) + self._prior_logits(priors)
+        out: Floats = 1 / (1 + np.exp(-logits))
+        return out
+
+    def _prior_logits(self, priors: RealArray) -> RealArray:
+        """Return (C,) what the logits are without the networks."""
+        out: RealArray = self.blend[-2] * log_odds(priors, LEAST_DOUBT) + self.blend[-1]
+        return out
+
     def rate(
         self, image: ImageArray, cell_scores: Floats32, proposals: Proposals, min_score: float = 0.0
     ) -> Floats:
@@ -69,7 +80,7 @@ class LineScore:
         Proposals that the networks would have to give more than `MAX_LEARNED` to reach `min_score` are not
         looked at: their score is without the networks.
         """
-        logits = self.blend[-2] * log_odds(proposals.prior, LEAST_DOUBT) + self.blend[-1]
+        logits = self._prior_logits(proposals.prior)
         reach = MAX_LEARNED * self.blend[:-2].sum()
         within_reach = np.flatnonzero(logits + reach >= log_odds(np.array(min_score), 1e-9))
         if len(within_reach):

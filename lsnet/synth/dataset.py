@@ -8,34 +8,15 @@ from typing import TYPE_CHECKING, Protocol
 import cv2
 import numpy as np
 
-from lsnet.synth.clutter.borders import road_bend
-from lsnet.synth.clutter.clutter import add_clutter
-from lsnet.synth.conditions import augment_further
-from lsnet.synth.scene import add_cables, finish_for
-from lsnet.synth.towers import add_tower
+from lsnet.synth.drawing import Sample, draw_ground, draw_tower, draw_wires
 
 if TYPE_CHECKING:
-    from lsnet.arrays import Floats, Floats32, ImageArray
     from lsnet.synth.backgrounds import BackgroundPool
 
 EMPTY_SHARE = 0.2  # of images have no cable
 SMALL_SHARE = 0.25  # of images have a low resolution, enlarged two to four times as by `Detector`
 TOWER_SHARE = 0.2  # of the others show a tower from near, whose wires end there
 PHOTOGRAPH_SHARE = 0.3  # of the others are photographs near their own resolution, without clutter
-BEND_SHARE = 0.25  # of these get lines along a bend
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sample:
-    """An image and its lines.
-
-    Attributes:
-        image: uint8 (size, size, 3) RGB.
-        lines: (K, 2) points x, y in pixels, which may be outside the image.
-    """
-
-    image: ImageArray
-    lines: list[Floats]
 
 
 class SampleSource(Protocol):
@@ -68,28 +49,9 @@ class SyntheticScenes:
         return Sample(image, [line * (self.size / small.image.shape[0]) for line in small.lines])
 
     def _seen(self, rng: np.random.Generator, size: int, *, has_details: bool) -> Sample:
-        scene = self._scene(rng, size, is_photograph=has_details and rng.random() < PHOTOGRAPH_SHARE)
-        lines: list[Floats] = []
-        if has_details and rng.random() < TOWER_SHARE:
-            lines += add_tower(scene, rng, finish_for(scene.astype(np.float32), rng))
-        image = scene.astype(np.float32)
-        if rng.random() >= (0.6 if lines else EMPTY_SHARE):
-            lines += add_cables(image, rng)
-        image, lines = augment_further(image, lines, rng)
-        return Sample(to_uint8(image), lines)
-
-    def _scene(self, rng: np.random.Generator, size: int, *, is_photograph: bool) -> ImageArray:
-        if is_photograph:
-            photograph = self.pool.photograph(rng, size)
-            scene = np.asarray(cv2.resize(photograph, (size, size), interpolation=cv2.INTER_CUBIC), np.uint8)
-            if rng.random() < BEND_SHARE:
-                road_bend(scene, rng)
-            return scene
-        scene = to_uint8(self.pool.sample(rng, size))
-        add_clutter(scene, rng, lambda: to_uint8(self.pool.sample(rng, size)))
-        return scene
-
-
-def to_uint8(image: Floats32) -> ImageArray:
-    """Round and clip to [0, 255]."""
-    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+        is_photograph = has_details and rng.random() < PHOTOGRAPH_SHARE
+        scene = draw_ground(self.pool, rng, size, is_photograph=is_photograph, has_clutter=not is_photograph)
+        if scene.shape[0] != size:
+            scene = np.asarray(cv2.resize(scene, (size, size), interpolation=cv2.INTER_CUBIC), np.uint8)
+        lines = draw_tower(scene, rng) if has_details and rng.random() < TOWER_SHARE else []
+        return draw_wires(scene, lines, rng, 1 - EMPTY_SHARE)

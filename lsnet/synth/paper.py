@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lsnet.synth.augment import PAPER, augment
-from lsnet.synth.dataset import Sample, to_uint8
+from lsnet.synth.drawing import Sample, to_uint8
 from lsnet.synth.pbr.scenes import composed, cropped
 from lsnet.synth.scene import add_cables
 

@@ -19,7 +19,7 @@ import numpy as np
 from lsnet.errors import LSNetError
 from lsnet.images import IMAGE_SUFFIXES, load_rgb
 from lsnet.synth.conditions import augment_further
-from lsnet.synth.dataset import Sample, to_uint8
+from lsnet.synth.drawing import Sample, to_uint8
 from lsnet.synth.geometric import affine
 
 if TYPE_CHECKING:

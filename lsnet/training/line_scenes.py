@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -15,24 +15,22 @@ from lsnet.lines.overlap import find_overlaps
 from lsnet.lines.polylines import Polylines
 from lsnet.postprocess import clip_segments
 from lsnet.preprocess import automatic_scale, prepare
-from lsnet.synth.clutter.borders import road_bend
-from lsnet.synth.clutter.clutter import add_clutter
-from lsnet.synth.conditions import augment_further
-from lsnet.synth.dataset import to_uint8
-from lsnet.synth.scene import add_cables, finish_for
-from lsnet.synth.towers import add_tower
+from lsnet.synth.drawing import draw_ground, draw_street, draw_tower, draw_wires
+from lsnet.synth.pbr.scenes import laid_over
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
-    from lsnet.arrays import Floats, Floats32, ImageArray, Ints, RealArray, Rng
+    from lsnet.arrays import Floats, Floats32, ImageArray, Ints, Rng
     from lsnet.runtime.backend import Backend
     from lsnet.synth.backgrounds import BackgroundPool
+    from lsnet.synth.drawing import Sample
 
 SIZES_PX, SIZE_SHARES = (384, 512, 640, 768, 1024), (0.2, 0.3, 0.25, 0.15, 0.1)
 SMALL_PX, SMALL_SHARE = (128, 128, 160, 192), 0.15  # enlarged by the detector
-BEND_SHARE = 0.25  # of the photographs get lines along a bend
-EMPTY_SHARE = 0.15  # of the scenes without a tower have no wire
+WHOLE_SHARE = 0.4  # of the scenes that need no photograph are on one nevertheless
+EMPTY_SHARE = 0.15  # of the scenes of wires have none
 LEVELS = (1.0, 1.0, 1.0, 1.5, 0.5)  # of scenes that the detector does not enlarge, with their frequency
 COARSE_FROM_PX = 640  # the last only from this side on
 TOLERANCE_PX = 3.0  # of a place on a wire
@@ -45,9 +43,21 @@ class SceneKind(IntEnum):
     CLUTTER = 1  # wires over drawn objects that are mistaken for wires
     TOWER = 2  # a tower and the wires that end there
     EMPTY = 3  # a photograph without wires
+    STREET = 4  # the wires of a street on a photograph
+    RENDERED = 5  # rendered wires, poles and towers
 
 
-SHARES = {SceneKind.PHOTOGRAPH: 0.32, SceneKind.CLUTTER: 0.22, SceneKind.TOWER: 0.23, SceneKind.EMPTY: 0.23}
+SHARES = {
+    SceneKind.PHOTOGRAPH: 0.22,
+    SceneKind.CLUTTER: 0.2,
+    SceneKind.TOWER: 0.2,
+    SceneKind.EMPTY: 0.2,
+    SceneKind.STREET: 0.1,
+    SceneKind.RENDERED: 0.08,  # if there are any
+}
+ON_PHOTOGRAPHS = {SceneKind.PHOTOGRAPH, SceneKind.EMPTY, SceneKind.STREET}
+CLUTTER_SHARES = {SceneKind.CLUTTER: 1.0, SceneKind.TOWER: 0.3, SceneKind.RENDERED: 0.4}
+STRUCTURES = {SceneKind.TOWER: draw_tower, SceneKind.STREET: draw_street}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,53 +66,92 @@ class Examples:
 
     Attributes:
         features: (N, FEATURES).
+        priors: (N,) scores by the odds of the segments and the length alone.
         targets: (N,) share of the length that is on a wire.
         lengths_px: (N,).
         kinds: (N,) `SceneKind`.
+        scenes: (N,) number of the scene.
     """
 
     features: Floats32
+    priors: Floats
     targets: Floats
     lengths_px: Floats
     kinds: Ints
+    scenes: Ints
 
     @classmethod
     def joined(cls, parts: Sequence[Examples]) -> Examples:
         """Join the examples of several scenes."""
-        return cls(
-            np.concatenate([part.features for part in parts]),
-            np.concatenate([part.targets for part in parts]),
-            np.concatenate([part.lengths_px for part in parts]),
-            np.concatenate([part.kinds for part in parts]),
-        )
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     def of(self, kinds: Sequence[SceneKind]) -> Examples:
         """Return the examples of some kinds of scenes."""
         keep = np.isin(self.kinds, kinds)
-        return Examples(self.features[keep], self.targets[keep], self.lengths_px[keep], self.kinds[keep])
+        return Examples(*(getattr(self, field.name)[keep] for field in fields(self)))
 
 
-def draw_scene(pool: BackgroundPool, rng: Rng) -> tuple[ImageArray, list[Floats], SceneKind]:
-    """Return an image, its wires as (K, 2) points in pixels, and its kind."""
-    kind = SceneKind(int(rng.choice(list(SHARES), p=list(SHARES.values()))))
-    is_small = rng.random() < SMALL_SHARE
-    size = int(rng.choice(SMALL_PX) if is_small else rng.choice(SIZES_PX, p=SIZE_SHARES))
-    is_photograph = kind in {SceneKind.PHOTOGRAPH, SceneKind.EMPTY}
-    is_whole = not is_small and (is_photograph or rng.random() < 0.4)
-    scene = pool.photograph(rng, size) if is_whole else to_uint8(pool.sample(rng, size))
-    side = scene.shape[0]
-    if kind is SceneKind.CLUTTER or (kind is SceneKind.TOWER and rng.random() < 0.3):
-        add_clutter(scene, rng, lambda: to_uint8(pool.sample(rng, side)))
-    elif rng.random() < BEND_SHARE:
-        road_bend(scene, rng)
-    lines: list[Floats] = []
-    if kind is SceneKind.TOWER:
-        lines += add_tower(scene, rng, finish_for(scene.astype(np.float32), rng))
-    image = scene.astype(np.float32)
-    if kind is not SceneKind.EMPTY and rng.random() < (0.4 if lines else 1 - EMPTY_SHARE):
-        lines += add_cables(image, rng)
-    image, lines = augment_further(image, lines, rng)
-    return to_uint8(image), lines, kind
+@dataclass(frozen=True, slots=True, eq=False)
+class LineScenes:
+    """Scenes to propose lines in; scene i of a seed is always the same.
+
+    Attributes:
+        pool: Photographs without wires.
+        pictures: Truths of rendered pictures, as from `rendered_pictures`; may be empty.
+        seed: Of the scenes.
+    """
+
+    pool: BackgroundPool
+    pictures: Sequence[Path] = ()
+    seed: int = 0
+
+    def examples(self, index: int, backend: Backend) -> Examples | None:
+        """Return the proposals of a network in scene `index`; None if there are none."""
+        scene, kind, level = self[index]
+        prepared, config = prepare(scene.image, level), ChainingConfig()
+        (maps,) = backend.run([prepared.pixels])
+        decoded = GridCoder().decode(*maps, prepared.padded_size, config.min_segment_score)
+        segments = clip_segments(decoded, prepared.scaled_size)
+        proposals, _ = propose_lines(segments, max(prepared.scale, 1.0), config)
+        if not len(proposals):
+            return None
+        height, width = prepared.scaled_size
+        factor = np.array([width / scene.image.shape[1], height / scene.image.shape[0]])
+        wires = Polylines.of([line * factor for line in scene.lines])
+        reach_px = TOLERANCE_PX * max(prepared.scale, 1.0) ** 0.5
+        return Examples(
+            features_of(prepared.pixels[:height, :width], maps[0], proposals),
+            proposals.prior,
+            find_overlaps(proposals.polylines, wires, reach_px).shares(),
+            proposals.extent_px,
+            np.full(len(proposals), kind, np.int64),
+            np.full(len(proposals), index, np.int64),
+        )
+
+    def __getitem__(self, index: int) -> tuple[Sample, SceneKind, float]:
+        """Return a scene, its kind, and the factor by which it is resized before detection."""
+        rng = np.random.default_rng([self.seed, index])
+        shares = np.array(
+            [SHARES[kind] * (kind != SceneKind.RENDERED or bool(self.pictures)) for kind in SHARES]
+        )
+        kind = SceneKind(int(rng.choice(list(SHARES), p=shares / shares.sum())))
+        is_small = rng.random() < SMALL_SHARE
+        size = int(rng.choice(SMALL_PX) if is_small else rng.choice(SIZES_PX, p=SIZE_SHARES))
+        is_whole = kind in ON_PHOTOGRAPHS or rng.random() < WHOLE_SHARE
+        ground = draw_ground(
+            self.pool,
+            rng,
+            size,
+            is_photograph=is_whole and not is_small,
+            has_clutter=rng.random() < CLUTTER_SHARES.get(kind, 0.0),
+        )
+        if kind == SceneKind.RENDERED:
+            scene = laid_over(self.pictures, index, ground, self.seed, rng)
+        else:
+            structure = STRUCTURES.get(kind)
+            lines = structure(ground, rng) if structure else []
+            scene = draw_wires(ground, lines, rng, 0.0 if kind == SceneKind.EMPTY else 1 - EMPTY_SHARE)
+        return scene, kind, draw_level(scene.image, rng)
 
 
 def draw_level(image: ImageArray, rng: Rng) -> float:
@@ -111,34 +160,3 @@ def draw_level(image: ImageArray, rng: Rng) -> float:
     base = automatic_scale(size)
     levels = LEVELS if min(size) >= COARSE_FROM_PX else LEVELS[:-1]
     return base if base > 1 else float(rng.choice(levels))
-
-
-def examples_in(
-    image: ImageArray, lines: Sequence[RealArray], kind: SceneKind, level: float, backend: Backend
-) -> Examples | None:
-    """Return the proposals in an image (H, W, 3) with true lines (K, 2); None if there are no proposals.
-
-    Args:
-        image: The scene.
-        lines: Points x, y of its wires, pixels.
-        kind: What it shows.
-        level: Factor by which it is resized.
-        backend: The network.
-    """
-    prepared, config = prepare(image, level), ChainingConfig()
-    (maps,) = backend.run([prepared.pixels])
-    decoded = GridCoder().decode(*maps, prepared.padded_size, config.min_segment_score)
-    segments = clip_segments(decoded, prepared.scaled_size)
-    proposals, _ = propose_lines(segments, max(prepared.scale, 1.0), config)
-    if not len(proposals):
-        return None
-    height, width = prepared.scaled_size
-    reach_px = TOLERANCE_PX * max(prepared.scale, 1.0) ** 0.5
-    factor = np.array([width / image.shape[1], height / image.shape[0]])
-    wires = Polylines.of([line * factor for line in lines])
-    return Examples(
-        features_of(prepared.pixels[:height, :width], maps[0], proposals),
-        find_overlaps(proposals.polylines, wires, reach_px).shares(),
-        proposals.extent_px,
-        np.full(len(proposals), kind, np.int64),
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,10 @@ from lsnet.errors import LSNetError
 from lsnet.lines.score import LineScore
 from lsnet.runtime.backend import open_backend
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
-from lsnet.training.line_scenes import Examples, SceneKind, draw_level, draw_scene, examples_in
+from lsnet.synth.pbr.scenes import rendered_pictures
+from lsnet.training.line_scenes import Examples, LineScenes, SceneKind
+from lsnet.training.line_validation import validate
+from lsnet.training.sources import VALIDATION_SEED
 from lsnet.weights import load_network, save_weights
 from lsnet.weights_file import read_weights
 
@@ -24,6 +28,9 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lsnet.arrays import Floats32
+    from lsnet.runtime.backend import Backend
+    from lsnet.synth.backgrounds import Part
+    from lsnet.training.line_validation import LineValidation
 
 # A network on all scenes finds short wires at towers; those without towers are better on all other sets.
 MEMBERS = ((SceneKind.CLUTTER, SceneKind.EMPTY), (SceneKind.PHOTOGRAPH, SceneKind.EMPTY), tuple(SceneKind))
@@ -55,16 +62,36 @@ class LineScoreNet(nn.Module):
         return out
 
 
+@dataclass(frozen=True, slots=True)
+class TrainedLineScore:
+    """What was written, and how good it is on scenes over pictures and photographs that were held out."""
+
+    sha256: str
+    validation: LineValidation | None
+
+
 def train_line_score(
     weights: str | Path,
     backgrounds: Sequence[str],
     output: Path,
     *,
+    rendered: Path | None = None,
     scenes: int = 6000,
     seed: int = 0,
     on_scene: Callable[[], None] = lambda: None,
-) -> str:
-    """Train the line score of weights on drawn scenes, and write them with it; return the sha256.
+) -> TrainedLineScore:
+    """Train the line score of weights on drawn and rendered scenes, and write them with it.
+
+    The last tenth of the photographs of each folder, and of the rendered pictures, is for validation only.
+
+    Args:
+        weights: Name of shipped weights, or a .safetensors file.
+        backgrounds: Folders of photographs without lines, DIR or DIR:FIRST.
+        output: The .safetensors file to write.
+        rendered: Folder of `model synth`.
+        scenes: To train on; a tenth as many more for validation.
+        seed: Of the scenes and the initial weights.
+        on_scene: Called after each scene of both.
 
     Raises:
         LSNetError: A folder or the weights cannot be used, the scenes have too few proposals, or the file
@@ -72,20 +99,41 @@ def train_line_score(
     """
     file = read_weights(weights)
     backend = open_backend(file, "auto")
-    pool = BackgroundPool([BackgroundFolder.parse(text) for text in backgrounds])
-    parts = []
-    for index in range(scenes):
-        rng = np.random.default_rng([seed, index])
-        image, lines, kind = draw_scene(pool, rng)
-        found = examples_in(image, lines, kind, draw_level(image, rng), backend)
-        parts += [found] if found else []
-        on_scene()
-    examples = Examples.joined(parts) if parts else None
-    members = [examples.of(kinds) for kinds in MEMBERS] if examples else []
+    parts: tuple[Part, Part] = ("training", "held out")
+    trained_on, held_out = (
+        _collect(_open(backgrounds, rendered, part, seed + k * VALIDATION_SEED), count, backend, on_scene)
+        for k, (part, count) in enumerate(zip(parts, (scenes, held_out_of(scenes)), strict=True))
+    )
+    members = [trained_on.of(kinds) for kinds in MEMBERS] if trained_on else []
     if not members or min(len(member.targets) for member in members) < 2:
         raise LSNetError(f"too few proposals in {scenes} scenes to train on; draw more scenes")
     score = as_line_score([fit(member, seed + k) for k, member in enumerate(members)])
-    return save_weights(output, load_network(file), file.card, score)
+    validation = None
+    if held_out:
+        scores = score.scores(held_out.features, held_out.priors)
+        validation = validate(held_out, scores, file.card.min_score)
+    return TrainedLineScore(save_weights(output, load_network(file), file.card, score), validation)
+
+
+def held_out_of(scenes: int) -> int:
+    """Return the number of scenes for validation."""
+    return scenes // 10
+
+
+def _open(backgrounds: Sequence[str], rendered: Path | None, part: Part, seed: int) -> LineScenes:
+    pool = BackgroundPool([BackgroundFolder.parse(text, part) for text in backgrounds])
+    return LineScenes(pool, rendered_pictures(rendered, part) if rendered else (), seed)
+
+
+def _collect(
+    scenes: LineScenes, count: int, backend: Backend, on_scene: Callable[[], None]
+) -> Examples | None:
+    parts = []
+    for index in range(count):
+        found = scenes.examples(index, backend)
+        parts += [found] if found else []
+        on_scene()
+    return Examples.joined(parts) if parts else None
 
 
 def fit(examples: Examples, seed: int) -> LineScoreNet:

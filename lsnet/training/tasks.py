@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
 
     from lsnet.model import RawOutput
-    from lsnet.synth.dataset import Sample
+    from lsnet.synth.drawing import Sample
     from lsnet.training.losses import LossSums
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -12,11 +13,13 @@ import pytest
 import torch
 from evaluation_sets import write_masks
 from nets import TINY, openvino_or_skip, save_tiny
+from safetensors.numpy import load_file
 from typer.testing import CliRunner
 
 import cli
 from lsnet import LSNetError, load_weights, network_config
 from lsnet.evaluation.compare import compare, trainings
+from lsnet.pretrained import path_of
 from lsnet.training import checkpoints, recipe
 
 if TYPE_CHECKING:
@@ -86,6 +89,26 @@ def test_eval_of_sets_with_and_without_truth(tmp_path: Path) -> None:
     text = run("eval", "m", "plain", "--min-score", 0.6, *TINY_RUN).stdout
     assert len(text.splitlines()) == 4
     assert "at score 0.60" in text
+
+
+def test_lines_trains_a_score_that_detection_uses(tmp_path: Path) -> None:
+    openvino_or_skip()
+    folder = photos(tmp_path / "photos", 12)
+    result = run("lines", "--background", folder, "--scenes", 40, "-o", "new.safetensors")
+    assert (result.exit_code, result.stderr) == (0, "")
+    validation, written = result.stdout.splitlines()
+    assert validation.startswith("validation: F 0.")
+    assert hashlib.sha256((tmp_path / "new.safetensors").read_bytes()).hexdigest() in written
+    new, old = (load_file(file) for file in ("new.safetensors", path_of("fast")))
+    assert set(new) == set(old)
+    assert not np.array_equal(new["line_score.0.weight"], old["line_score.0.weight"])
+    assert all(np.array_equal(new[name], old[name]) for name in old if not name.startswith("line_score."))
+
+
+def test_lines_needs_proposals_to_train_on() -> None:
+    result = run("lines", "--scenes", 1, "--weights", "w.safetensors", "-o", "new.safetensors")
+    assert result.exit_code != 0
+    assert "too few proposals in 1 scenes to train on; draw more scenes" in str(result.exception)
 
 
 def test_eval_of_lines_with_the_papers_scores_and_drawn_images(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lsnet.arrays import Mask, RealArray
-    from lsnet.synth.dataset import Sample
+    from lsnet.synth.drawing import Sample
 
 LINE_PX = 3
 

@@ -27,7 +27,7 @@ from lsnet.model import ConvNormAct
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from lsnet.synth.dataset import Sample
+    from lsnet.synth.drawing import Sample
     from lsnet.training.losses import LossSums
 
 WINDOW_PX, STEP_PX = 128, 32

@@ -12,7 +12,8 @@ from torch.utils.data import DataLoader, Dataset
 from lsnet.evaluation.baselines.wd_dcnn import LINE_PX, drawn_lines
 from lsnet.files import make_folder, write_png
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
-from lsnet.synth.dataset import Sample, SampleSource, SyntheticScenes
+from lsnet.synth.dataset import SampleSource, SyntheticScenes
+from lsnet.synth.drawing import Sample
 from lsnet.synth.paper import PaperScenes
 
 if TYPE_CHECKING:

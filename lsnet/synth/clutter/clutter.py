@@ -1,4 +1,4 @@
-"""Objects that are mistaken for cables: branches, trunks, kerbs, joints, fences, markings, furrows.
+"""Objects that are mistaken for cables: branches, trunks, kerbs, walls, joints, fences, markings, furrows.
 
 Each kind is painted into a uint8 (H, W, 3) RGB image in place, and is never labelled.
 """
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from lsnet.synth.clutter.borders import edging, half_plane, road_bend, roadside
 from lsnet.synth.clutter.plants import branches, cracks, foliage, shrub, trunk
 from lsnet.synth.clutter.structures import building, fence, furrows, markings, shadows, struts, tile_grid
+from lsnet.synth.clutter.yards import boulevard, painted_lines, roof, wall
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +23,6 @@ KINDS: dict[Callable[[ImageArray, Rng], None], float] = {
     furrows: 0.08,
     roadside: 0.35,
     markings: 0.14,
-    road_bend: 0.16,
     tile_grid: 0.18,
     cracks: 0.10,
     edging: 0.16,
@@ -35,7 +35,22 @@ KINDS: dict[Callable[[ImageArray, Rng], None], float] = {
     branches: 0.25,
     shrub: 0.42,
 }
+# On every ground, photographs included: what is reported most where there are no wires.
+GROUND_LINES: dict[Callable[[ImageArray, Rng], None], float] = {
+    boulevard: 0.06,
+    road_bend: 0.2,
+    painted_lines: 0.25,
+    roof: 0.08,
+    wall: 0.2,
+}
 BORDER_PROBABILITY = 0.5  # of another ground, and of one more
+
+
+def add_ground_lines(image: ImageArray, rng: Rng) -> None:
+    """Paint each kind of lines that lie on the ground any number of times."""
+    for paint, probability in GROUND_LINES.items():
+        while rng.random() < probability:
+            paint(image, rng)
 
 
 def add_clutter(image: ImageArray, rng: Rng, ground: Callable[[], ImageArray]) -> None:

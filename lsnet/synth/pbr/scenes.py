@@ -10,16 +10,15 @@ import numpy as np
 
 from lsnet.errors import LSNetError
 from lsnet.synth.backgrounds import part_of
-from lsnet.synth.clutter.clutter import add_clutter
 from lsnet.synth.conditions import augment_further, cable_shadows
-from lsnet.synth.dataset import Sample, to_uint8
+from lsnet.synth.drawing import Sample, draw_ground, to_uint8
 from lsnet.synth.geometric import crops_and_flips, over, rotate, zoom
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from lsnet.arrays import FloatImage, Floats
+    from lsnet.arrays import FloatImage, Floats, ImageArray
     from lsnet.synth.backgrounds import BackgroundPool, Part
     from lsnet.synth.geometric import Labelled
 
@@ -47,20 +46,26 @@ class RenderedScenes:
 
     def __getitem__(self, index: int) -> Sample:
         rng = np.random.default_rng([self._seed, index])
-        cables, lines = cropped(self._pictures, index, self.size, self._seed)
-        for move in (zoom, rotate):
-            if rng.random() < MOVE_SHARE:
-                cables, lines = move(cables, lines, rng)
-        ground = self._ground(rng)
-        if rng.random() < SHADOW_SHARE:
-            ground = cable_shadows(ground, lines, rng)
-        image, lines = augment_further(composed(cables, ground), lines, rng)
-        return Sample(to_uint8(image), lines)
+        ground = draw_ground(self._pool, rng, self.size, is_photograph=False, has_clutter=True)
+        return laid_over(self._pictures, index, ground, self._seed, rng)
 
-    def _ground(self, rng: np.random.Generator) -> FloatImage:
-        scene = to_uint8(self._pool.sample(rng, self.size))
-        add_clutter(scene, rng, lambda: to_uint8(self._pool.sample(rng, self.size)))
-        return scene.astype(np.float32)
+
+def laid_over(
+    pictures: Sequence[Path], index: int, ground: ImageArray, seed: int, rng: np.random.Generator
+) -> Sample:
+    """Lay one of the pictures, as `cropped` chooses it, over a square ground (H, H, 3), and augment both.
+
+    Its cables are lines; poles, towers and strings of insulators are not.
+    """
+    cables, lines = cropped(pictures, index, ground.shape[0], seed)
+    for move in (zoom, rotate):
+        if rng.random() < MOVE_SHARE:
+            cables, lines = move(cables, lines, rng)
+    below = ground.astype(np.float32)
+    if rng.random() < SHADOW_SHARE:
+        below = cable_shadows(below, lines, rng)
+    image, lines = augment_further(composed(cables, below), lines, rng)
+    return Sample(to_uint8(image), lines)
 
 
 def rendered_pictures(folder: Path, part: Part = "all") -> list[Path]:

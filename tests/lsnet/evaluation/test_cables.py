@@ -10,7 +10,7 @@ import pytest
 
 from lsnet.evaluation.cables import CableReport, cable_coverage, evaluate_cables
 from lsnet.segments import Detections, Lines, Segments
-from lsnet.synth.dataset import Sample
+from lsnet.synth.drawing import Sample
 
 SIZE = 128
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 from photos import write_photos
 
-from lsnet.synth import dataset, scene
+from lsnet.synth import dataset, drawing, scene
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
+from lsnet.synth.cables import Finish
 from lsnet.synth.clutter import borders, clutter, structures
 from lsnet.synth.dataset import SyntheticScenes
 from lsnet.synth.scene import add_cables
+from lsnet.synth.streets import WIDEST_PX, add_street
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,7 +55,7 @@ def test_roadside_keeps_the_ground_on_one_side() -> None:
     assert min(shares) < 0.5 < max(shares)
 
 
-@pytest.mark.parametrize("paint", clutter.KINDS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("paint", [*clutter.KINDS, *clutter.GROUND_LINES], ids=lambda f: f.__name__)
 def test_clutter_paints_and_is_the_same_for_the_same_seed(paint: Callable[..., None]) -> None:
     images = [np.full((256, 256, 3), 120, np.uint8) for _ in range(5)]
     for image, seed in zip(images, (0, 1, 2, 3, 0), strict=True):
@@ -76,6 +79,23 @@ def test_shadows_are_dark_lines_with_visible_ground() -> None:
     small = np.full((128, 128, 3), 200, np.uint8)
     structures.shadows(small, rng())
     assert (small == 200).all()
+
+
+def test_the_lines_of_a_street_are_its_wires_and_not_its_poles() -> None:
+    """All wires are magenta and at least 2 px wide, poles are grey."""
+    magenta = Finish((255.0, 0.0, 255.0), ambient=1.0, diffuse=0.0, specular=0.0, light=0.0, strand_px=0.0)
+    for seed in range(6):
+        image = np.full((300, 400, 3), 120, np.uint8)
+        lines = add_street(image, rng(seed), lambda: magenta)
+        is_wire = image[..., 0].astype(int) - image[..., 1] > 130
+        touches = cv2.dilate(is_wire.astype(np.uint8), np.ones((3, 3), np.uint8))
+        is_near = np.zeros(is_wire.shape, np.uint8)
+        for line in lines:
+            cv2.polylines(is_near, [np.round(line).astype(np.int32)], False, 1, round(2 * WIDEST_PX) + 2)
+            x, y = np.floor(line).astype(int).T
+            inside = (x >= 0) & (x < 400) & (y >= 0) & (y < 300)
+            assert touches[y[inside], x[inside]].all()
+        assert not (is_wire & (is_near == 0)).any()
 
 
 def test_scenes_are_the_same_for_the_same_seed_and_index(tmp_path: Path) -> None:
@@ -102,9 +122,10 @@ def test_small_scenes_are_enlarged_with_their_lines(monkeypatch: pytest.MonkeyPa
         return [np.array([[0, size // 3 + 0.5], [size, size // 3 + 0.5]])]
 
     monkeypatch.setattr(dataset, "SMALL_SHARE", 1.0)
-    monkeypatch.setattr(dataset, "add_clutter", lambda *_: None)
-    monkeypatch.setattr(dataset, "add_cables", black_row)
-    monkeypatch.setattr(dataset, "augment_further", lambda image, lines, _rng: (image, lines))
+    monkeypatch.setattr(drawing, "add_ground_lines", lambda *_: None)
+    monkeypatch.setattr(drawing, "add_clutter", lambda *_: None)
+    monkeypatch.setattr(drawing, "add_cables", black_row)
+    monkeypatch.setattr(drawing, "augment_further", lambda image, lines, _rng: (image, lines))
     widths = set()
     for i in range(12):
         sample = SyntheticScenes(White([]), 96)[i]

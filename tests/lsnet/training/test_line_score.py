@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -14,8 +16,11 @@ from lsnet.lines.overlap import find_overlaps
 from lsnet.lines.polylines import Polylines
 from lsnet.lines.score import read_line_score
 from lsnet.synth.backgrounds import BackgroundPool
-from lsnet.training import line_score
-from lsnet.training.line_scenes import Examples, SceneKind, draw_scene
+from lsnet.synth.pbr import scenes as pbr_scenes
+from lsnet.synth.pbr.scenes import laid_over, rendered_pictures
+from lsnet.training import line_scenes, line_score
+from lsnet.training.line_scenes import Examples, LineScenes, SceneKind
+from lsnet.training.line_validation import validate
 from lsnet.weights import save_weights
 from lsnet.weights_file import WeightsCard, read_weights
 
@@ -46,7 +51,8 @@ def test_a_score_learns_and_is_the_same_in_a_weights_file(
     rng = np.random.default_rng(0)
     features = rng.normal(size=(1500, FEATURES)).astype(np.float32)
     targets = (features[:, 7] > 0).astype(float)
-    examples = Examples(features, targets, np.full(1500, 100.0), np.ones(1500, np.int64))
+    ones = np.ones(1500, np.int64)
+    examples = Examples(features, ones / 2, targets, np.full(1500, 100.0), ones, ones)
     nets = [line_score.fit(examples, seed) for seed in range(len(line_score.MEMBERS))]
     path = tmp_path / "w.safetensors"
     save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5), line_score.as_line_score(nets))
@@ -59,8 +65,83 @@ def test_a_score_learns_and_is_the_same_in_a_weights_file(
     np.testing.assert_allclose(logits, expected, atol=1e-4)
 
 
-def test_scenes_are_drawn_by_seed_and_of_every_kind() -> None:
-    pool = BackgroundPool([])
-    kinds = [draw_scene(pool, np.random.default_rng([1, i]))[2] for i in range(2)]
-    assert kinds == [draw_scene(pool, np.random.default_rng([1, i]))[2] for i in range(2)]
-    assert set(kinds) <= set(SceneKind)
+def test_scenes_are_the_same_for_the_same_seed_and_of_every_kind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_scenes, "SIZES_PX", (128,) * 5)
+    pixels = np.zeros((64, 64, 4), np.uint8)
+    pixels[30:33] = (0, 0, 255, 255)
+    cv2.imwrite(str(tmp_path / "000000.png"), pixels)
+    truth = {"size": [64, 64], "seed": 0, "lines": [[[-9, 31.5], [70, 31.5]]]}
+    (tmp_path / "000000.json").write_text(json.dumps(truth))
+    scenes = LineScenes(BackgroundPool([]), rendered_pictures(tmp_path), seed=1)
+    for index in (0, 5):
+        (one, *kind), (two, *same) = scenes[index], scenes[index]
+        np.testing.assert_array_equal(one.image, two.image)
+        assert kind == same
+    drawn = [scenes[i] for i in range(60)]
+    assert {kind for _, kind, _ in drawn} == set(SceneKind)
+    assert not any(scene.lines for scene, kind, _ in drawn if kind == SceneKind.EMPTY)
+    without = LineScenes(BackgroundPool([]), (), seed=1)
+    assert {without[i][1] for i in range(60)} == set(SceneKind) - {SceneKind.RENDERED}
+
+
+def test_wires_of_a_rendered_scene_lie_where_its_lines_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A red cable over a grey ground, without augmentation, moved and cropped in any way."""
+    pixels = np.zeros((128, 128, 4), np.uint8)
+    pixels[60:64] = (0, 0, 255, 255)
+    cv2.imwrite(str(tmp_path / "000000.png"), pixels)
+    truth = {"size": [128, 128], "seed": 0, "lines": [[[-200, 62], [300, 62]]]}
+    (tmp_path / "000000.json").write_text(json.dumps(truth))
+    monkeypatch.setattr(pbr_scenes, "augment_further", lambda image, lines, _rng: (image, lines))
+    ground = np.full((96, 96, 3), 120, np.uint8)
+    seen = 0
+    for index in range(40):
+        rng = np.random.default_rng(index)
+        scene = laid_over(rendered_pictures(tmp_path), index, ground, 0, rng)
+        is_red = scene.image[..., 0].astype(int) - scene.image[..., 1] > 120
+        rows, columns = np.nonzero(is_red)
+        if len(rows) < 20:
+            continue  # the crop has none of it
+        seen += 1
+        start, end = scene.lines[0]
+        along = (end - start) / np.hypot(*(end - start))
+        away = np.stack([columns + 0.5, rows + 0.5], axis=1) - start
+        offsets = away[:, 0] * along[1] - away[:, 1] * along[0]
+        assert abs(offsets.mean()) < 0.6
+        assert abs(offsets).max() < 9  # 4 px, zoomed up to four times
+    assert seen > 10
+
+
+def test_validation_counts_lengths_by_kind_and_scenes_without_wires() -> None:
+    """Two clutter proposals of 100 px on a wire, of which one is reported, and 50 px beside one reported."""
+    kinds = np.array([SceneKind.CLUTTER] * 3 + [SceneKind.EMPTY] * 3)
+    examples = Examples(
+        np.zeros((6, FEATURES), np.float32),
+        np.full(6, 0.5),
+        np.array([1.0, 1, 0, 0, 0, 0]),
+        np.array([100.0, 100, 50, 80, 80, 80]),
+        kinds,
+        np.array([0, 0, 0, 1, 1, 2]),
+    )
+    found = validate(examples, np.array([0.9, 0.4, 0.6, 0.7, 0.8, 0.1]), 0.5)
+    assert found.f1 == {SceneKind.CLUTTER: pytest.approx(2 * (2 / 3) * 0.5 / (2 / 3 + 0.5))}
+    assert found.false_share == 0.5
+    assert "50% of scenes without wires" in str(found)
+
+
+def test_the_scores_are_those_that_rate_proposals() -> None:
+    score = read_line_score(read_weights("fast"))
+    assert score is not None
+    features = np.random.default_rng(0).normal(size=(4, FEATURES)).astype(np.float32)
+    priors = np.array([0.001, 0.2, 0.5, 0.9])
+    blend = score.blend.astype(float)
+    logits = [
+        sum(blend[m] * score.logits(features)[m, k] for m in range(len(blend) - 2))
+        + blend[-2] * np.log(max(p, 0.01) / (1 - max(p, 0.01)))
+        + blend[-1]
+        for k, p in enumerate(priors)
+    ]
+    np.testing.assert_allclose(score.scores(features, priors), 1 / (1 + np.exp(-np.array(logits))), rtol=1e-4)

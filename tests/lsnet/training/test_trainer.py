@@ -17,7 +17,7 @@ from nets import TINY
 from lsnet import network_config
 from lsnet.errors import LSNetError
 from lsnet.network_config import LSNetConfig
-from lsnet.synth.dataset import Sample
+from lsnet.synth.drawing import Sample
 from lsnet.training.batches import load_batches
 from lsnet.training.checkpoints import load_checkpoint, save_checkpoint
 from lsnet.training.recipe import RECIPES, TrainConfig, TrainingProgress, learning_rate_at

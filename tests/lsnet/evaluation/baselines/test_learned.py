@@ -15,7 +15,7 @@ from lsnet.errors import LSNetError
 from lsnet.evaluation.baselines.learned import RIVALS, LearnedRival, open_any_task, rival_task
 from lsnet.evaluation.baselines.wd_dcnn import WDDCNN, WDDCNNConfig, WDDCNNTask, class_balanced, drawn_lines
 from lsnet.evaluation.baselines.wsl_cnn import WSLCNN, WSLCNNConfig, WSLCNNTask
-from lsnet.synth.dataset import Sample
+from lsnet.synth.drawing import Sample
 from lsnet.training.checkpoints import save_checkpoint
 from lsnet.training.sources import export_run
 from lsnet.training.tasks import LSNetTask

@@ -25,6 +25,7 @@ def lines(
     seed: Annotated[
         int, typer.Option(min=0, metavar="N", help="Seed of the scenes and the initial weights.")
     ] = 0,
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes that draw.")] = 1,
 ) -> None:
     """Train the score of lines.
 
@@ -46,6 +47,7 @@ def lines(
             rendered=rendered,
             scenes=scenes,
             seed=seed,
+            workers=workers,
             on_scene=advance,
         )
     if trained.validation:

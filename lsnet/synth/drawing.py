@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lsnet.synth.clutter.clutter import add_clutter, add_ground_lines
+from lsnet.synth.clutter.clutter import add_bends, add_clutter
 from lsnet.synth.conditions import augment_further
 from lsnet.synth.scene import add_cables, finish_for
 from lsnet.synth.streets import add_street
@@ -36,7 +36,7 @@ class Sample:
 def draw_ground(
     pool: BackgroundPool, rng: Rng, size: int, *, is_photograph: bool, has_clutter: bool
 ) -> ImageArray:
-    """Draw a ground with lines on it that are no wires.
+    """Draw a ground, some with lines along bends.
 
     Args:
         pool: Photographs.
@@ -46,7 +46,7 @@ def draw_ground(
         has_clutter: Whether drawn objects that are mistaken for wires lie on it.
     """
     scene = pool.photograph(rng, size) if is_photograph else to_uint8(pool.sample(rng, size))
-    add_ground_lines(scene, rng)
+    add_bends(scene, rng)
     if has_clutter:
         add_clutter(scene, rng, lambda: to_uint8(pool.sample(rng, scene.shape[0])))
     return scene

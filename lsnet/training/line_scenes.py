@@ -15,6 +15,7 @@ from lsnet.lines.overlap import find_overlaps
 from lsnet.lines.polylines import Polylines
 from lsnet.postprocess import clip_segments
 from lsnet.preprocess import automatic_scale, prepare
+from lsnet.synth.clutter.clutter import add_yard
 from lsnet.synth.drawing import draw_ground, draw_street, draw_tower, draw_wires
 from lsnet.synth.pbr.scenes import laid_over
 
@@ -48,12 +49,12 @@ class SceneKind(IntEnum):
 
 
 SHARES = {
-    SceneKind.PHOTOGRAPH: 0.22,
+    SceneKind.PHOTOGRAPH: 0.27,
     SceneKind.CLUTTER: 0.2,
-    SceneKind.TOWER: 0.2,
+    SceneKind.TOWER: 0.18,
     SceneKind.EMPTY: 0.2,
-    SceneKind.STREET: 0.1,
-    SceneKind.RENDERED: 0.08,  # if there are any
+    SceneKind.STREET: 0.08,
+    SceneKind.RENDERED: 0.07,  # if there are any
 }
 ON_PHOTOGRAPHS = {SceneKind.PHOTOGRAPH, SceneKind.EMPTY, SceneKind.STREET}
 CLUTTER_SHARES = {SceneKind.CLUTTER: 1.0, SceneKind.TOWER: 0.3, SceneKind.RENDERED: 0.4}
@@ -145,6 +146,8 @@ class LineScenes:
             is_photograph=is_whole and not is_small,
             has_clutter=rng.random() < CLUTTER_SHARES.get(kind, 0.0),
         )
+        if kind == SceneKind.EMPTY:
+            add_yard(ground, rng)
         if kind == SceneKind.RENDERED:
             scene = laid_over(self.pictures, index, ground, self.seed, rng)
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -12,29 +13,33 @@ from torch import nn
 
 from lsnet.errors import LSNetError
 from lsnet.lines.score import LineScore
-from lsnet.runtime.backend import open_backend
-from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
-from lsnet.synth.pbr.scenes import rendered_pictures
-from lsnet.training.line_scenes import Examples, LineScenes, SceneKind
+from lsnet.training.line_scenes import SceneKind
+from lsnet.training.line_sources import LineSource, collect
 from lsnet.training.line_validation import validate
 from lsnet.training.sources import VALIDATION_SEED
 from lsnet.weights import load_network, save_weights
 from lsnet.weights_file import read_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from torch import Tensor
 
     from lsnet.arrays import Floats32
-    from lsnet.runtime.backend import Backend
     from lsnet.synth.backgrounds import Part
+    from lsnet.training.line_scenes import Examples
     from lsnet.training.line_validation import LineValidation
 
 # A network on all scenes finds short wires at towers; those without towers are better on all other sets.
-MEMBERS = ((SceneKind.CLUTTER, SceneKind.EMPTY), (SceneKind.PHOTOGRAPH, SceneKind.EMPTY), tuple(SceneKind))
-BLEND = (0.1, 0.125, 0.4, 0.5, -0.1)  # factors of the members and of the prior, and a constant
+MEMBERS = (
+    (SceneKind.CLUTTER, SceneKind.EMPTY),
+    (SceneKind.PHOTOGRAPH, SceneKind.EMPTY),
+    (SceneKind.RENDERED, SceneKind.CLUTTER, SceneKind.EMPTY),
+    tuple(SceneKind),
+    tuple(kind for kind in SceneKind if kind != SceneKind.TOWER),
+)
+BLEND = (0.1, 0.1, 0.1, 0.3, 0.1, 0.5, -0.1)  # factors of the members and of the prior, and a constant
 WIDTHS = (64, 32)
 EPOCHS, BATCH, LEARNING_RATE, WEIGHT_DECAY = 7, 512, 3e-3, 0.05
 NOISE, DROPOUT = 0.1, 0.15  # noise of the features, in deviations
@@ -78,6 +83,7 @@ def train_line_score(
     rendered: Path | None = None,
     scenes: int = 6000,
     seed: int = 0,
+    workers: int = 1,
     on_scene: Callable[[], None] = lambda: None,
 ) -> TrainedLineScore:
     """Train the line score of weights on drawn and rendered scenes, and write them with it.
@@ -91,6 +97,7 @@ def train_line_score(
         rendered: Folder of `model synth`.
         scenes: To train on; a tenth as many more for validation.
         seed: Of the scenes and the initial weights.
+        workers: Processes that draw.
         on_scene: Called after each scene of both.
 
     Raises:
@@ -98,16 +105,19 @@ def train_line_score(
             cannot be written.
     """
     file = read_weights(weights)
-    backend = open_backend(file, "auto")
-    parts: tuple[Part, Part] = ("training", "held out")
+    parts: tuple[tuple[Part, int, int], ...] = (
+        ("training", seed, scenes),
+        ("held out", seed + VALIDATION_SEED, held_out_of(scenes)),
+    )
     trained_on, held_out = (
-        _collect(_open(backgrounds, rendered, part, seed + k * VALIDATION_SEED), count, backend, on_scene)
-        for k, (part, count) in enumerate(zip(parts, (scenes, held_out_of(scenes)), strict=True))
+        collect(LineSource(weights, tuple(backgrounds), rendered, part, first), count, workers, on_scene)
+        for part, first, count in parts
     )
     members = [trained_on.of(kinds) for kinds in MEMBERS] if trained_on else []
     if not members or min(len(member.targets) for member in members) < 2:
         raise LSNetError(f"too few proposals in {scenes} scenes to train on; draw more scenes")
-    score = as_line_score([fit(member, seed + k) for k, member in enumerate(members)])
+    with one_thread():
+        score = as_line_score([fit(member, seed + k) for k, member in enumerate(members)])
     validation = None
     if held_out:
         scores = score.scores(held_out.features, held_out.priors)
@@ -115,25 +125,18 @@ def train_line_score(
     return TrainedLineScore(save_weights(output, load_network(file), file.card, score), validation)
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on one thread: for networks this small, several wait for each other most of the time."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 def held_out_of(scenes: int) -> int:
     """Return the number of scenes for validation."""
     return scenes // 10
-
-
-def _open(backgrounds: Sequence[str], rendered: Path | None, part: Part, seed: int) -> LineScenes:
-    pool = BackgroundPool([BackgroundFolder.parse(text, part) for text in backgrounds])
-    return LineScenes(pool, rendered_pictures(rendered, part) if rendered else (), seed)
-
-
-def _collect(
-    scenes: LineScenes, count: int, backend: Backend, on_scene: Callable[[], None]
-) -> Examples | None:
-    parts = []
-    for index in range(count):
-        found = scenes.examples(index, backend)
-        parts += [found] if found else []
-        on_scene()
-    return Examples.joined(parts) if parts else None
 
 
 def fit(examples: Examples, seed: int) -> LineScoreNet:

@@ -35,20 +35,26 @@ KINDS: dict[Callable[[ImageArray, Rng], None], float] = {
     branches: 0.25,
     shrub: 0.42,
 }
-# On every ground, photographs included: what is reported most where there are no wires.
-GROUND_LINES: dict[Callable[[ImageArray, Rng], None], float] = {
-    boulevard: 0.06,
-    road_bend: 0.2,
-    painted_lines: 0.25,
-    roof: 0.08,
-    wall: 0.2,
+BEND_PROBABILITY = 0.2  # of lines along a bend, on any ground, and of more
+# What lies in yards and streets without wires. Where there are wires they would be taken for such lines.
+YARD_KINDS: dict[Callable[[ImageArray, Rng], None], float] = {
+    boulevard: 0.05,
+    painted_lines: 0.14,
+    roof: 0.06,
+    wall: 0.14,
 }
 BORDER_PROBABILITY = 0.5  # of another ground, and of one more
 
 
-def add_ground_lines(image: ImageArray, rng: Rng) -> None:
-    """Paint each kind of lines that lie on the ground any number of times."""
-    for paint, probability in GROUND_LINES.items():
+def add_bends(image: ImageArray, rng: Rng) -> None:
+    """Paint lines along bends any number of times."""
+    while rng.random() < BEND_PROBABILITY:
+        road_bend(image, rng)
+
+
+def add_yard(image: ImageArray, rng: Rng) -> None:
+    """Paint walls, painted lines, roofs and boulevards any number of times."""
+    for paint, probability in YARD_KINDS.items():
         while rng.random() < probability:
             paint(image, rng)
 

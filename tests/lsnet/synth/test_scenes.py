@@ -55,7 +55,9 @@ def test_roadside_keeps_the_ground_on_one_side() -> None:
     assert min(shares) < 0.5 < max(shares)
 
 
-@pytest.mark.parametrize("paint", [*clutter.KINDS, *clutter.GROUND_LINES], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "paint", [*clutter.KINDS, *clutter.YARD_KINDS, borders.road_bend], ids=lambda f: f.__name__
+)
 def test_clutter_paints_and_is_the_same_for_the_same_seed(paint: Callable[..., None]) -> None:
     images = [np.full((256, 256, 3), 120, np.uint8) for _ in range(5)]
     for image, seed in zip(images, (0, 1, 2, 3, 0), strict=True):
@@ -122,7 +124,7 @@ def test_small_scenes_are_enlarged_with_their_lines(monkeypatch: pytest.MonkeyPa
         return [np.array([[0, size // 3 + 0.5], [size, size // 3 + 0.5]])]
 
     monkeypatch.setattr(dataset, "SMALL_SHARE", 1.0)
-    monkeypatch.setattr(drawing, "add_ground_lines", lambda *_: None)
+    monkeypatch.setattr(drawing, "add_bends", lambda *_: None)
     monkeypatch.setattr(drawing, "add_clutter", lambda *_: None)
     monkeypatch.setattr(drawing, "add_cables", black_row)
     monkeypatch.setattr(drawing, "augment_further", lambda image, lines, _rng: (image, lines))

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from nets import TINY, tiny_net
+from nets import TINY, openvino_or_skip, tiny_net
 
 from lsnet.lines.features import FEATURES
 from lsnet.lines.overlap import find_overlaps
@@ -20,6 +20,7 @@ from lsnet.synth.pbr import scenes as pbr_scenes
 from lsnet.synth.pbr.scenes import laid_over, rendered_pictures
 from lsnet.training import line_scenes, line_score
 from lsnet.training.line_scenes import Examples, LineScenes, SceneKind
+from lsnet.training.line_sources import LineSource, collect
 from lsnet.training.line_validation import validate
 from lsnet.weights import save_weights
 from lsnet.weights_file import WeightsCard, read_weights
@@ -84,6 +85,19 @@ def test_scenes_are_the_same_for_the_same_seed_and_of_every_kind(
     assert not any(scene.lines for scene, kind, _ in drawn if kind == SceneKind.EMPTY)
     without = LineScenes(BackgroundPool([]), (), seed=1)
     assert {without[i][1] for i in range(60)} == set(SceneKind) - {SceneKind.RENDERED}
+
+
+def test_workers_give_the_same_examples_in_the_same_order() -> None:
+    openvino_or_skip()
+    source = LineSource("fast", (), None, "all", seed=3)
+    seen: list[int] = []
+    one, two = (collect(source, 12, workers, lambda: seen.append(1)) for workers in (1, 2))
+    assert len(seen) == 24
+    assert one is not None
+    assert two is not None
+    np.testing.assert_array_equal(one.scenes, two.scenes)
+    np.testing.assert_array_equal(one.kinds, two.kinds)
+    np.testing.assert_allclose(one.features, two.features, atol=1e-3)
 
 
 def test_wires_of_a_rendered_scene_lie_where_its_lines_are(

@@ -39,7 +39,7 @@ MEMBERS = (
     tuple(SceneKind),
     tuple(kind for kind in SceneKind if kind != SceneKind.TOWER),
 )
-BLEND = (0.1, 0.1, 0.1, 0.3, 0.1, 0.5, -0.1)  # factors of the members and of the prior, and a constant
+BLEND = (0.08, 0.12, 0.02, 0.4, 0.25, 0.8, 0.2)  # factors of the members and of the prior, and a constant
 WIDTHS = (64, 32)
 EPOCHS, BATCH, LEARNING_RATE, WEIGHT_DECAY = 7, 512, 3e-3, 0.05
 NOISE, DROPOUT = 0.1, 0.15  # noise of the features, in deviations

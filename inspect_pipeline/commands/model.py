@@ -216,8 +216,8 @@ def synth(
 ) -> None:
     """Render pictures of cables to train on.
 
-    Writes PNG with alpha, and centrelines as JSON, for `model train --rendered`. Needs the extra `synth`. A
-    run that was killed continues when it is started again.
+    Writes PNG with alpha, and centrelines as JSON, for `--rendered` of `model train` and `model lines`. Needs
+    the extra `synth`. A run that was killed continues when it is started again.
 
     \b
     Examples:

@@ -130,8 +130,10 @@ def one_thread() -> Iterator[None]:
     """Run torch on one thread: for networks this small, several wait for each other most of the time."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def held_out_of(scenes: int) -> int:

@@ -59,9 +59,16 @@ class SpanEvidence:
 
     def rows_showing(self, bins: Ints) -> Ints:
         """Return the longest run of usable frames that show half of the stretch, or of what any shows."""
+        return self._longest_run(self.sight.fine[:, bins[0] : bins[-1] + 1])
+
+    def rows_showing_span(self) -> Ints:
+        """Return the same for the whole span, however coarsely it is shown."""
+        return self._longest_run(self.sight.shown)
+
+    def _longest_run(self, shown: Mask) -> Ints:
         usable = np.flatnonzero(np.isfinite(self.sight.from_m))
-        shown = self.sight.fine[usable, bins[0] : bins[-1] + 1].sum(axis=1)
-        longest = usable[max(find_runs(shown >= shown.max() / 2, 1), key=len)]
+        n_shown = shown[usable].sum(axis=1)
+        longest = usable[max(find_runs(n_shown >= n_shown.max() / 2, 1), key=len)]
         return np.arange(self.sight.rows[longest[0]], self.sight.rows[longest[-1]] + 1)
 
     def place(self, bins: Ints, origin: LocalMetres) -> tuple[float, float]:

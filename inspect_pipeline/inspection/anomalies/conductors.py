@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
 _MIN_APART, _MIN_APART_SD = 2.0, 4.0  # times aligned_px, or the noise: nearer conductors are not compared
+_MIN_ASIDE = (
+    0.5  # of the distance of two conductors, as which it appears: others are nearly behind each other
+)
 _MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part in metres
 _MEDIAN_TO_SD = 1.4826
 _MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
@@ -98,7 +101,7 @@ def _distances_m(first: SpanConductor, second: SpanConductor, one: SpanEvidence,
         np.hypot(*(getattr(places[0], n) - getattr(places[1], n) for n in ("across_m", "raised_m")))
     )
     least_px = np.maximum(rules.anomalies["aligned_px"], _MIN_APART_SD * one.sight.noise_m * scale_px)
-    apart = expected_m * scale_px >= _MIN_APART * least_px
+    apart = (expected_m * scale_px >= _MIN_APART * least_px) & (expected_m >= _MIN_ASIDE * real_m)
     ratio = np.abs(first.across_m[i] - second.across_m[j])[apart] / expected_m[apart]
     return _median_by_bin(real_m * ratio, bins[apart], n_bins, rules)
 

@@ -109,9 +109,9 @@ def _find_deficits(
     for run in find_runs(_close_gaps(lacking, rules.anomalies["bridged_m"] / bin_m), 1):
         bins, length_m = known[run], len(run) * bin_m
         is_at_end = run[0] == 0 or run[-1] == len(known) - 1
-        if is_at_end and not _is_end_certain(one, number, bins, rules):
+        if _times_seen_ending(one, number, bins) < _MIN_END_SEEN:
             continue
-        if not _is_end_seen(one, number, bins):
+        if is_at_end and not _is_end_certain(one, number, bins, rules):
             continue
         kind = "conductor_lost" if is_at_end else "conductor_gap"
         limit_m = rules.of(kind)["min_length_m"] + one.sight.widened_bins * bin_m
@@ -131,15 +131,15 @@ def _find_deficits(
         )
 
 
-def _is_end_seen(one: SpanEvidence, number: int, bins: Ints) -> bool:
-    """Return whether a frame shows both that a conductor is absent there, and a line of it elsewhere.
+def _times_seen_ending(one: SpanEvidence, number: int, bins: Ints) -> float:
+    """Return the weight of frames that show that a conductor is absent there, and a line of it elsewhere.
 
-    Otherwise frames may all have missed its line.
+    Other frames may all have missed its line.
     """
     if one.votes is None:
-        return False
+        return 0.0
     in_frame = one.votes.in_frame[:, number]
-    return bool(one.votes.against[in_frame, number][:, bins].sum(axis=0).max(initial=0.0) >= _MIN_END_SEEN)
+    return float(one.votes.against[in_frame, number][:, bins].sum(axis=0).max(initial=0.0))
 
 
 def _close_gaps(mask: Mask, longest: float) -> Mask:
@@ -154,8 +154,8 @@ def _close_gaps(mask: Mask, longest: float) -> Mask:
 def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
     """Return whether bins reach a structure, or lines had their tracks when the bins came into view.
 
-    Where a flight starts within a span, lines without a track yet look like missing ones. There the evidence
-    must be twice as strong.
+    Where a flight starts within a span, lines without a track yet look like missing ones. There frames must
+    show where it ends, and the evidence be twice as strong.
     """
     along_m, near_m = one.axis.bins_m[bins], 2 * rules.anomalies["margin_m"]
     if along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m:
@@ -164,14 +164,15 @@ def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) ->
         return False
     weight = one.votes.weight[:, number]
     first, first_here = (np.flatnonzero(mask.any(axis=1))[0] for mask in (weight, weight[:, bins]))
-    evidence = float(weight[:, bins].sum(axis=0).max())
-    return bool(first_here - first >= _TRACK_START_FRAMES or evidence >= 2 * _TRACK_START_FRAMES)
+    is_late = first_here - first >= _TRACK_START_FRAMES
+    return bool(is_late or _times_seen_ending(one, number, bins) >= 2 * rules.anomalies["min_support"])
 
 
 def _count_finding(one: SpanEvidence, bins: Ints, level: int, expected: int, origin: LocalMetres) -> Finding:
     span_id = one.axis.span_id
     reason = f"{level} conductors along span {span_id}, where {expected} are expected"
-    rows, place = one.rows_showing(bins), one.place(bins, origin)
+    # What is missing is missing all along, also where a frame shows it too coarsely to be judged.
+    rows, place = one.rows_showing_span(), one.place(bins, origin)
     return Finding(
         "conductor_count", rows, reason, level, expected, "conductors", span_id=span_id, place=place
     )

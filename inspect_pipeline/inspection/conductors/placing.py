@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _NEAR_M = (0.2, 0.1)
 _NEAR_RAW_M = (0.5, 0.25, 0.1)
 _MAX_MIXED_M, _MIN_TOGETHER = 3.0, 0.3
-_LEAST, _ENOUGH = 0.75, 0.85  # of the crossings that an alignment explains: else it is wrong; if it is good
+_LEAST, _ENOUGH = 0.75, 0.95  # of the crossings that an alignment explains: else it is wrong; if it is good
 
 
 class Placing(NamedTuple):

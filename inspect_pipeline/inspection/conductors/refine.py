@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.inspection.conductors.layout import Place
-from inspect_pipeline.inspection.conductors.votes import NO_CONDUCTOR, assign_lines
+from inspect_pipeline.inspection.conductors.matching import NO_CONDUCTOR, match_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,7 +109,7 @@ def share_explained(sights: Sequence[SpanSight], places: Sequence[Place]) -> flo
 def _match(sight: SpanSight, places: Sequence[Place]) -> _Matches:
     """Return the crossings of lines with conductors, weighted by how well they fit."""
     view = sight.view
-    owner = assign_lines(sight, places)[view.line]
+    owner = match_lines(sight, places)[view.line]
     rows = np.flatnonzero((owner != NO_CONDUCTOR) & sight.fine[view.frame, view.bin])
     found = _Matches(rows, owner[rows], np.ones(len(rows)))
     if not len(rows):
@@ -265,7 +265,7 @@ def _drop_rare(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Pla
 
 def frames_with(sight: SpanSight, places: Sequence[Place]) -> np.ndarray:
     """Return which frames have a line of which conductor (N, K)."""
-    owner = assign_lines(sight, places)
+    owner = match_lines(sight, places)
     has = np.zeros((len(sight.rows), len(places)), bool)
     owned = np.flatnonzero(owner != NO_CONDUCTOR)
     has[sight.lines.frame[owned], owner[owned]] = True

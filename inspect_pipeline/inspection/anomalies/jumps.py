@@ -1,0 +1,106 @@
+"""Rule about cameras that turn in their mount, which no message records: all lines rotate at once.
+
+Lines of one frame are compared with where they should appear in the next one by the recorded poses, if they
+hang as high as conductors usually do. So a drone may turn, or circle a pole, however few frames a second.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from inspect_pipeline.inspection.anomalies.frames import Finding
+from inspect_pipeline.inspection.poses import camera_poses, find_origin
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from inspect_pipeline.arrays import Floats, Mask
+    from inspect_pipeline.geometry.camera import CameraPoses
+    from inspect_pipeline.inspection.rows import CameraRows, FrameQuality
+    from inspect_pipeline.inspection.rules import Rules
+
+_SAME_OFFSET, _SAME_ANGLE_DEG = 0.03, 4.0  # between a rotated line and its match; of the longer image side
+_MAX_PAUSE_FRAMES = 2
+_MIN_DEPTH_M = 0.5
+_FAR_M = 1e4  # of lines that are not below the camera: only its turns move them
+
+
+def find_orientation_jumps(camera: CameraRows, quality: FrameQuality, rules: Rules) -> Iterator[Finding]:
+    """Find frames whose lines are those of the previous frame, rotated about the image centre."""
+    if not camera.cadence(rules).is_video:
+        return
+    limits, lines, frames = rules.of("orientation_jump"), camera.lines, camera.frames
+    bounds = np.searchsorted(lines.frame, np.arange(len(frames) + 1))
+    rows = np.flatnonzero(quality.usable)
+    origin = find_origin([camera])
+    cameras = camera_poses(frames, origin, rules) if origin else None
+    height_m = rules.coverage["default_height_m"]
+    for before, after in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
+        if after - before > _MAX_PAUSE_FRAMES:
+            continue
+        a, b = (lines.chords[bounds[row] : bounds[row + 1]] for row in (before, after))
+        size = np.array((frames.width[after], frames.height[after]), np.float64)
+        if cameras is not None:
+            a = _appear_next(cameras, before, after, a, height_m)
+        turn_deg, n_turned, n_kept = _best_turn(_normal_form(a, size), _normal_form(b, size), size.max())
+        least = max(limits["min_lines"], limits["min_share"] * max(len(a), len(b)))
+        if abs(turn_deg) >= limits["min_jump_deg"] and n_turned >= least and n_turned > n_kept:
+            reason = f"{n_turned} lines rotate by {turn_deg:+.0f} degrees from one frame to the next"
+            shown = np.array([before, after])
+            limit = limits["min_jump_deg"]
+            yield Finding("orientation_jump", shown, reason, abs(turn_deg), limit, "deg")
+
+
+def _appear_next(cameras: CameraPoses, before: int, after: int, chords: Floats, height_m: float) -> Floats:
+    """Return where chords (M, 2, 2) of one frame should appear in another, unchanged if poses are unknown."""
+    pixels = chords.reshape(-1, 2)
+    rays = cameras.rays(np.full(len(pixels), before), pixels)
+    start, end = np.nan_to_num(cameras.positions[[before, after]])
+    is_placed = np.isfinite(cameras.positions[[before, after]]).all()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (height_m - start[2]) / rays[:, 2] if is_placed else np.full(len(rays), np.inf)
+    reach[~((reach > 0) & (reach < _FAR_M))] = _FAR_M
+    away = start - end + reach[:, np.newaxis] * rays
+    seen = away @ cameras.axes[after].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        there = seen[:, :2] / seen[:, 2:] * cameras.focal_px[after] + cameras.sizes[after] / 2
+    moved: Floats = there.reshape(chords.shape)
+    is_seen = (seen[:, 2] > _MIN_DEPTH_M) & np.isfinite(there).all(axis=1)
+    if not np.isfinite(seen).all():
+        return chords
+    return moved[is_seen.reshape(-1, 2).all(axis=1)]
+
+
+def _normal_form(chords: Floats, size: Floats) -> tuple[Floats, Floats]:
+    """Return signed px (M,) from the image centre to each line, and its angle in [0, 180) (M,)."""
+    begin, end = chords[:, 0] - size / 2, chords[:, 1] - size / 2
+    angle = np.arctan2(end[:, 1] - begin[:, 1], end[:, 0] - begin[:, 0]) % np.pi
+    offset = begin[:, 0] * np.sin(angle) - begin[:, 1] * np.cos(angle)
+    return offset, np.degrees(angle)
+
+
+def _best_turn(
+    first: tuple[Floats, Floats], second: tuple[Floats, Floats], longer_px: float
+) -> tuple[float, int, int]:
+    """Return the rotation in degrees of most lines, their number, and the number of lines that stay."""
+    (offsets, angles), (next_offsets, next_angles) = first, second
+    turns = (next_angles[np.newaxis] - angles[:, np.newaxis] + 90) % 180 - 90
+    # The offset of a line that rotates past 180 degrees changes its sign.
+    wraps = np.round((angles[:, np.newaxis] + turns - next_angles[np.newaxis]) / 180).astype(int) % 2
+    away = np.abs(offsets[:, np.newaxis] - np.where(wraps == 1, -1, 1) * next_offsets[np.newaxis])
+    near = away <= _SAME_OFFSET * longer_px
+    candidates = turns[near]
+    if not len(candidates):
+        return 0.0, 0, 0
+    agree = np.abs(candidates[:, np.newaxis] - candidates[np.newaxis]) <= _SAME_ANGLE_DEG
+    best = int(np.argmax(agree.sum(axis=1)))
+    turn_deg = float(np.median(candidates[agree[best]]))
+    return turn_deg, _count_pairs(near, turns, turn_deg), _count_pairs(near, turns, 0.0)
+
+
+def _count_pairs(near: Mask, turns: Floats, turn_deg: float) -> int:
+    """Count the lines of one frame that have a match in the other after a rotation."""
+    fits = near & (np.abs(turns - turn_deg) <= _SAME_ANGLE_DEG)
+    return int(min(fits.any(axis=0).sum(), fits.any(axis=1).sum()))

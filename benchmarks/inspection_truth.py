@@ -137,9 +137,10 @@ def is_judged(plan: FlightPlan, truth: FlightTruth, fault: FaultTruth, rows: dic
     in_view = truth.span_coverage[fault.span_id]
     if not own or own[0]["judged_m"] < own[0]["length_m"] * in_view / 2:
         return False
-    if kind == "conductors_converging":
-        return True
     matched = _match_conductors(plan, [row for row in rows["conductors"] if row["span_id"] == fault.span_id])
+    if kind == "conductors_converging":
+        pair = [matched.get(name) for name in fault.conductor_ids]
+        return all(row is not None and row["judged_m"] >= own[0]["judged_m"] / 2 for row in pair)
     row = matched.get(fault.conductor_ids[0])
     if kind == "sag_change":
         return row is not None and row["sag_m"] is not None

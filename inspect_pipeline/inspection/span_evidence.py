@@ -14,7 +14,7 @@ from inspect_pipeline.inspection.judgement import judge_bins
 from inspect_pipeline.inspection.lines import confirmed_lines, number_untracked
 from inspect_pipeline.inspection.poses import camera_poses, find_pose_problems
 from inspect_pipeline.inspection.rows import find_runs
-from inspect_pipeline.inspection.span_view import make_axis, near_path, select_frames
+from inspect_pipeline.inspection.span_view import make_axis, near_path, select_frames, visible_gsd_m
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,19 +57,21 @@ class SpanEvidence:
     def axis(self) -> SpanAxis:
         return self.sight.axis
 
-    def rows_showing(self, bins: Ints) -> Ints:
-        """Return the longest run of usable frames that show half of the stretch, or of what any shows."""
-        return self._longest_run(self.sight.fine[:, bins[0] : bins[-1] + 1])
+    def rows_showing(self, bins: Ints, places: Sequence[Place] = ()) -> Ints:
+        """Return the longest run of usable frames that show half of a stretch, or of what any shows.
 
-    def rows_showing_span(self) -> Ints:
-        """Return the same for the whole span, however coarsely it is shown."""
-        return self._longest_run(self.sight.shown)
-
-    def _longest_run(self, shown: Mask) -> Ints:
-        usable = np.flatnonzero(np.isfinite(self.sight.from_m))
+        bins: its first and last one count. places: of conductors that the stretch is one of, else it is one
+        of the axis. How finely a frame shows it does not matter.
+        """
+        sight, stretch = self.sight, slice(bins[0], bins[-1] + 1)
+        points = [sight.points_of(place)[stretch] for place in places]
+        shown = np.isfinite(
+            visible_gsd_m(sight.cameras, np.concatenate(points or [self.axis.centres[stretch]]))
+        )
+        usable = np.flatnonzero(np.isfinite(sight.from_m) & shown.any(axis=1))
         n_shown = shown[usable].sum(axis=1)
         longest = usable[max(find_runs(n_shown >= n_shown.max() / 2, 1), key=len)]
-        return np.arange(self.sight.rows[longest[0]], self.sight.rows[longest[-1]] + 1)
+        return np.arange(sight.rows[longest[0]], sight.rows[longest[-1]] + 1)
 
     def place(self, bins: Ints, origin: LocalMetres) -> tuple[float, float]:
         """Return latitude and longitude of the middle of some bins."""

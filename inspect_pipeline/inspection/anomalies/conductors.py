@@ -33,6 +33,7 @@ _MIN_ASIDE = (
     0.5  # of the distance of two conductors, as which it appears: others are nearly behind each other
 )
 _MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part in metres
+_MIN_HANGING = 0.5  # of the sag: where a conductor evidently hangs lower than others
 _MEDIAN_TO_SD = 1.4826
 _MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
 MIN_SAGS = 3  # conductors whose sag is compared
@@ -179,7 +180,7 @@ def _to_finding(
     what = f"two conductors appear {found.least_m:.1f} m apart in span {span_id}"
     return Finding(
         "conductors_converging",
-        one.rows_showing(found.bins),
+        one.rows_showing(found.bins, [one.places[each.number] for each in pair]),
         f"{what}, elsewhere {found.usual_m:.1f} m",
         found.least_m,
         found.limit_m,
@@ -207,18 +208,21 @@ def find_sag_changes(
     if not measured:
         return
     usual_m = float(np.median([fit.place.sag_m for *_, fit in measured]))
-    number, track, outlier = max(measured, key=lambda each: abs(each[-1].place.sag_m - usual_m))
+    fitted = [(each.number, each.track, each.fit) for each in conductors if each.fit]
+    number, track, outlier = max(
+        fitted, key=lambda each: abs(each[-1].place.sag_m - usual_m) - each[-1].sd[2]
+    )
     difference_m = outlier.place.sag_m - usual_m
     spread_m = float(np.median([abs(fit.place.sag_m - usual_m) for *_, fit in measured])) * _MEDIAN_TO_SD
     limit_m = max(limits["min_difference_m"], _MIN_SIGNIFICANCE * max(outlier.sd[2], spread_m))
     if abs(difference_m) < limit_m or outlier.misfit_m > limits["max_misfit_m"]:
         return
     word = "lower" if difference_m > 0 else "higher"
-    bins = np.flatnonzero((one.sight.parabola > 0.5) & one.sight.fine.any(axis=0))
+    bins = np.flatnonzero(one.sight.parabola > _MIN_HANGING)
     if len(bins):
         yield Finding(
             "sag_change",
-            one.rows_showing(bins),
+            one.rows_showing(bins, [outlier.place]),
             f"a conductor hangs {abs(difference_m):.1f} m {word} than the others of span {one.axis.span_id}",
             abs(difference_m),
             limit_m,

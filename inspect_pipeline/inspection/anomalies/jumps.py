@@ -66,11 +66,11 @@ def _appear_next(cameras: CameraPoses, before: int, after: int, chords: Floats, 
     seen = away @ cameras.axes[after].T
     with np.errstate(divide="ignore", invalid="ignore"):
         there = seen[:, :2] / seen[:, 2:] * cameras.focal_px[after] + cameras.sizes[after] / 2
-    moved: Floats = there.reshape(chords.shape)
+    moved = there.reshape(chords.shape)
     is_seen = (seen[:, 2] > _MIN_DEPTH_M) & np.isfinite(there).all(axis=1)
     if not np.isfinite(seen).all():
         return chords
-    return moved[is_seen.reshape(-1, 2).all(axis=1)]
+    return np.asarray(moved[is_seen.reshape(-1, 2).all(axis=1)])
 
 
 def _normal_form(chords: Floats, size: Floats) -> tuple[Floats, Floats]:

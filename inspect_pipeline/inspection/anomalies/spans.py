@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from inspect_pipeline.arrays import Ints, Mask
     from inspect_pipeline.geometry.local_frame import LocalMetres
+    from inspect_pipeline.inspection.conductors.layout import Place
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
@@ -84,16 +85,16 @@ def find_count_changes(
     known = np.flatnonzero(inner_bins(one, rules) & one.is_judged.any(axis=0))
     if len(missing) and n_left < expected:
         bins = np.flatnonzero((one.states[missing] == ABSENT).any(axis=0))
-        yield _count_finding(one, bins, n_left, expected, origin)
+        yield _count_finding(one, bins, (n_left, expected), origin, [one.places[k] for k in missing])
     elif not len(missing) and n_left < expected and len(known) and hides_none(one, rules):
-        yield _count_finding(one, known, n_left, expected, origin)
+        yield _count_finding(one, known, (n_left, expected), origin)
     elif len(known):
         n_present = one.is_present[:, known].sum(axis=0)
         is_more = n_present > expected
         limits = rules.of("conductor_count")
         if is_more.mean() >= limits["min_share"] and is_more.sum() * one.axis.bin_m >= limits["min_length_m"]:
             level = int(np.median(n_present[is_more]))
-            yield _count_finding(one, known[is_more], level, expected, origin)
+            yield _count_finding(one, known[is_more], (level, expected), origin)
     for number in np.setdiff1d(np.arange(len(one.places)), missing).tolist():
         yield from _find_deficits(one, number, expected, origin, rules)
 
@@ -125,10 +126,20 @@ def _find_deficits(
         else:
             where = f"{start_m:.0f} m of span {span_id}"
             reason = f"{level} of {expected} conductors for {length_m:.1f} m from {where}"
-        rows, place = one.rows_showing(bins), one.place(bins, origin)
+        rows, place = (
+            one.rows_showing(_whole(one, bins, known), [one.places[number]]),
+            one.place(bins, origin),
+        )
         yield Finding(
             kind, rows, reason, length_m, limit_m, "m", span_id=span_id, place=place, conductors=(number,)
         )
+
+
+def _whole(one: SpanEvidence, bins: Ints, known: Ints) -> Ints:
+    """Return the first and last bin of what is missing: up to the structure if no more is known."""
+    first = 0 if bins[0] == known[0] else bins[0]
+    last = len(one.axis.centres) - 1 if bins[-1] == known[-1] else bins[-1]
+    return np.array([first, last])
 
 
 def _times_seen_ending(one: SpanEvidence, number: int, bins: Ints) -> float:
@@ -168,11 +179,20 @@ def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) ->
     return bool(is_late or _times_seen_ending(one, number, bins) >= 2 * rules.anomalies["min_support"])
 
 
-def _count_finding(one: SpanEvidence, bins: Ints, level: int, expected: int, origin: LocalMetres) -> Finding:
+def _count_finding(
+    one: SpanEvidence,
+    bins: Ints,
+    numbers: tuple[int, int],
+    origin: LocalMetres,
+    missing: Sequence[Place] = (),
+) -> Finding:
+    """Return the finding of a span with another number of conductors than expected; numbers: both."""
+    level, expected = numbers
     span_id = one.axis.span_id
     reason = f"{level} conductors along span {span_id}, where {expected} are expected"
-    # What is missing is missing all along, also where a frame shows it too coarsely to be judged.
-    rows, place = one.rows_showing_span(), one.place(bins, origin)
+    # What is missing is missing all along, also where it was not judged.
+    rows = one.rows_showing(np.arange(len(one.axis.centres)), missing)
+    place = one.place(bins, origin)
     return Finding(
         "conductor_count", rows, reason, level, expected, "conductors", span_id=span_id, place=place
     )

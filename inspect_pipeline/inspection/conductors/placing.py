@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _NEAR_M = (0.2, 0.1)
 _NEAR_RAW_M = (0.5, 0.25, 0.1)
 _MAX_MIXED_M, _MIN_TOGETHER = 3.0, 0.3
+_MOST_SUPERFLUOUS, _MAX_LOST = 4, 0.01  # places that are tried without; of what is explained
 _LEAST, _ENOUGH = 0.75, 0.95  # of the crossings that an alignment explains: else it is wrong; if it is good
 
 
@@ -42,10 +43,30 @@ def place_conductors(raw: Sequence[SpanSight]) -> Placing:
     """
     if not any(len(one.view.across_m) for one in raw):
         return Placing(list(raw), [], 0.0)
-    aligned = _place(raw, align_spans(raw), _NEAR_M)
-    if aligned.explained >= _ENOUGH:
-        return aligned
-    return max(aligned, _place(raw, raw, _NEAR_RAW_M), key=lambda found: found.explained)
+    best = _place(raw, align_spans(raw), _NEAR_M)
+    if best.explained < _ENOUGH:
+        best = max(best, _place(raw, raw, _NEAR_RAW_M), key=lambda found: found.explained)
+    return _without_superfluous(raw, best)
+
+
+def _without_superfluous(raw: Sequence[SpanSight], found: Placing) -> Placing:
+    """Return the conductors without those whose lines the others explain as well, if frames move a little.
+
+    Frames aligned by another wire of a bundle make one more of its wires than there are.
+    """
+    for _ in range(_MOST_SUPERFLUOUS):
+        mixed = np.flatnonzero(find_mixed(found)) if found.explained >= _LEAST else ()
+        if not len(mixed):
+            break
+        has = np.concatenate([frames_with(one, found.places) for one in found.sights]).sum(axis=0)
+        rarest = int(min(mixed, key=lambda k: has[k]))
+        left = [place for k, place in enumerate(found.places) if k != rarest]
+        sights, places = refine(raw, found.sights, left)
+        fewer = Placing(sights, places, share_explained(sights, places))
+        if fewer.explained < found.explained - _MAX_LOST:
+            break
+        found = fewer
+    return found
 
 
 def _place(raw: Sequence[SpanSight], first: Sequence[SpanSight], near_m: Sequence[float]) -> Placing:

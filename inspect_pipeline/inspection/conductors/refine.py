@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _ROUNDS = 4
 _LINE_NOISE_M, _LINE_NOISE_PX = 0.08, 2.0  # of a line in a frame; its crossings share errors
 # Standard deviations of places: height and sag, of one conductor about the mean of all, and of that mean.
+_MOST_SAG_M = 0.75  # by which the sag of a conductor on all spans differs from that of the others
 _OWN_SD_M, _MEAN_SD_M = np.array([2.0, 0.4]), np.array([0.5, 0.4])
 # Standard deviations of pose errors: shift in m, turn in m per m, scale, and turn and roll by distance aside.
 # They are taken from the corrections themselves, within bounds.
@@ -178,7 +179,11 @@ def _solve(
         known + gain[:, :, -1] - gain[:, :, :-1] @ step
         for known, gain in zip(corrections, gains, strict=True)
     ]
-    return better, [Place(*three) for three in (now + step.reshape(-1, 3)).tolist()]
+    values = now + step.reshape(-1, 3)
+    # Another shape than that of a hanging wire is one that a neighbour was moved to, and not a sag.
+    usual_m = np.median(values[:, 2])
+    values[:, 2] = np.clip(values[:, 2], usual_m - _MOST_SAG_M, usual_m + _MOST_SAG_M)
+    return better, [Place(*three) for three in values.tolist()]
 
 
 def _equations(

@@ -12,6 +12,7 @@ from inspect_pipeline.inspection.span_view import view_span
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Ints, Mask
     from inspect_pipeline.geometry.camera import CameraPoses
+    from inspect_pipeline.inspection.conductors.layout import Place
     from inspect_pipeline.inspection.rows import LineRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_view import SpanAxis, SpanView
@@ -73,6 +74,12 @@ class SpanSight:
             side_m=self.side_m + shift_m,
             above_m=self.above_m * np.asarray(scale)[:, np.newaxis],
         )
+
+    def points_of(self, place: Place) -> Floats:
+        """Return the points (B, 3) of a conductor at the bins."""
+        across = np.outer(np.full(len(self.parabola), place.across_m), self.axis.across)
+        lifted_m = place.raised_m - place.sag_m * self.parabola
+        return np.asarray(self.axis.centres + np.column_stack((across, lifted_m)))
 
     def at_height(self, raised_m: float, sag_m: float) -> Floats:
         """Return positions across (C,) of crossings by a conductor that hangs higher, and with more sag."""

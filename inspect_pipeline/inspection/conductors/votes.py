@@ -6,7 +6,7 @@ another conductor appears within a few pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -110,10 +110,9 @@ def _shown_bins(sight: SpanSight, places: Sequence[Place], rules: Rules) -> tupl
         number = _appear_in(sight, lifted_m)
         is_inside = (number >= 0) & (number < len(axis.centres))
         bins[:, k] = np.clip(number, 0, len(axis.centres) - 1)
-        heights = [lifted_m + off_m for off_m in ((-open_m, open_m) if open_m else (0.0,))]
-        shown[:, k] = is_inside & np.all(
-            [_is_visible(sight, place.across_m, h, rules) for h in heights], axis=0
-        )
+        raised = [place.raised_m + off_m for off_m in ((-open_m, open_m) if open_m else (0.0,))]
+        visible = [_is_visible(sight, replace(place, raised_m=each_m), rules) for each_m in raised]
+        shown[:, k] = is_inside & np.all(visible, axis=0)
     if sight.widened_bins:
         shown = minimum_filter1d(shown, 2 * sight.widened_bins + 1, axis=2, mode="nearest")
     return bins, shown
@@ -128,11 +127,9 @@ def _appear_in(sight: SpanSight, lifted_m: Floats) -> Ints:
         return np.nan_to_num(np.round(along_m / axis.bin_m - 0.5), nan=-1.0).astype(np.int64)
 
 
-def _is_visible(sight: SpanSight, across_m: float, lifted_m: Floats, rules: Rules) -> Mask:
-    """Return where (N, B) a frame shows a conductor so much above the nominal height."""
-    off = np.outer(np.full(len(lifted_m), across_m), sight.axis.across)
-    points = sight.axis.centres + np.column_stack((off, lifted_m))
-    return np.isfinite(visible_gsd_m(sight.cameras, points, rules.anomalies["margin_px"]))
+def _is_visible(sight: SpanSight, place: Place, rules: Rules) -> Mask:
+    """Return where (N, B) a frame shows a conductor, not next to the border of its image."""
+    return np.isfinite(visible_gsd_m(sight.cameras, sight.points_of(place), rules.anomalies["margin_px"]))
 
 
 def _are_told_apart(sight: SpanSight, appears: Floats, found: Mask, rules: Rules) -> Mask:

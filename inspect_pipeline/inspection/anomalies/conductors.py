@@ -32,6 +32,7 @@ _MIN_APART, _MIN_APART_SD = 2.0, 4.0  # times aligned_px, or the noise: nearer c
 _MIN_ASIDE = (
     0.5  # of the distance of two conductors, as which it appears: others are nearly behind each other
 )
+_NOISY_USUAL = 1.5  # times min_usual_m: under noise, wires of a bundle appear farther apart than they are
 _MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part in metres
 _MIN_HANGING = 0.5  # of the sag: where a conductor evidently hangs lower than others
 _MEDIAN_TO_SD = 1.4826
@@ -160,7 +161,8 @@ def _approaches(apart_m: Floats, one: SpanEvidence, rules: Rules) -> Iterator[_A
             continue
         usual_m = float(np.quantile(apart_m[known], _USUAL_QUANTILE))
         limit_m = limits["max_share"] * usual_m
-        is_near = (apart_m[known] < limit_m) & (usual_m >= limits["min_usual_m"])
+        least_m = limits["min_usual_m"] * (1.0 if one.sight.is_exact else _NOISY_USUAL)
+        is_near = (apart_m[known] < limit_m) & (usual_m >= least_m)
         for run in find_runs(is_near, limits["min_length_m"] / bin_m):
             yield _Approach(known[run], float(apart_m[known[run]].min()), limit_m, usual_m)
 
@@ -208,7 +210,9 @@ def find_sag_changes(
     if not measured:
         return
     usual_m = float(np.median([fit.place.sag_m for *_, fit in measured]))
-    fitted = [(each.number, each.track, each.fit) for each in conductors if each.fit]
+    fitted = measured
+    if one.sight.is_exact:  # the sag of one that hangs much lower need not be known as well
+        fitted = [(each.number, each.track, each.fit) for each in conductors if each.fit]
     number, track, outlier = max(
         fitted, key=lambda each: abs(each[-1].place.sag_m - usual_m) - each[-1].sd[2]
     )

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
 _MIN_PLACES = 2
-_MAX_SHIFT_SD_M = 0.3  # of positions: greater errors look like parallax
 _MIN_EXPLAINED = 0.95  # of what lines show: what is left may be a conductor without a place
 _MIN_SHARE = 0.8  # of the metres in view, along which a hidden conductor would have been seen
 
@@ -27,7 +26,7 @@ def hides_none(one: SpanEvidence, rules: Rules) -> bool:
     """
     places, sight = one.places, one.sight
     in_view = sight.fine.any(axis=0)
-    is_exact = sight.shift_sd_m <= _MAX_SHIFT_SD_M and one.explained >= _MIN_EXPLAINED
+    is_exact = sight.is_exact and one.explained >= _MIN_EXPLAINED
     if one.votes is None or len(places) < _MIN_PLACES or not is_exact or not in_view.any():
         return False
     supposed = [other for place in places for other in _behind(one, place, _least_distance_m(places))]

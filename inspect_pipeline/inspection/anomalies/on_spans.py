@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
-_EXACT_SD_M = 0.3  # of positions; greater errors mix up conductors
 _MIN_EXPLAINED = 0.9  # of what lines show, where errors of poses could explain the rest
 _HIDDEN_SHARE = 0.5  # of the views of a bin, from which on its conductor is hidden by another
 
@@ -88,8 +87,7 @@ def find_on_spans(
 
 def _are_all_placed(one: SpanEvidence, expected: int) -> bool:
     """Return whether all conductors have places: with errors of poses, lines of others mix with theirs."""
-    is_exact = one.sight.shift_sd_m <= _EXACT_SD_M
-    return is_exact or (one.explained >= _MIN_EXPLAINED and len(one.places) == expected)
+    return one.sight.is_exact or (one.explained >= _MIN_EXPLAINED and len(one.places) == expected)
 
 
 def _outcomes(

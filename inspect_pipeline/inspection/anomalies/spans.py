@@ -81,7 +81,8 @@ def find_count_changes(
 ) -> Iterator[Finding]:
     """Find missing conductors, further ones, and those that end or are interrupted within the span."""
     missing = missing_conductors(one, rules)
-    n_left = len(one.places) - len(missing)
+    # More places than conductors are those of wires that frames mix up, of which nothing is known.
+    n_left = min(len(one.places), expected) - len(missing)
     known = np.flatnonzero(inner_bins(one, rules) & one.is_judged.any(axis=0))
     if len(missing) and n_left < expected:
         bins = np.flatnonzero((one.states[missing] == ABSENT).any(axis=0))
@@ -105,7 +106,7 @@ def _find_deficits(
     """Find where a conductor ends within the span (lost) or is interrupted (gap)."""
     bin_m, span_id, states = one.axis.bin_m, one.axis.span_id, one.states[number]
     known = np.flatnonzero(inner_bins(one, rules) & (states != UNKNOWN))
-    at_most = (one.states != ABSENT).sum(axis=0)
+    at_most = min(len(one.places), expected) - (one.states == ABSENT).sum(axis=0)
     lacking = (states[known] == ABSENT) & (at_most[known] < expected)
     for run in find_runs(_close_gaps(lacking, rules.anomalies["bridged_m"] / bin_m), 1):
         bins, length_m = known[run], len(run) * bin_m

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 # Within which the lines of a conductor lie, from frames that are aligned roughly to those aligned well.
 _NEAR_M = (0.2, 0.1)
 _NEAR_RAW_M = (0.5, 0.25, 0.1)
+_BUNDLE_M = 0.6  # between wires of a bundle
 _MAX_MIXED_M, _MIN_TOGETHER = 3.0, 0.3
 _MOST_SUPERFLUOUS, _MAX_LOST = 4, 0.01  # places that are tried without; of what is explained
 _LEAST, _ENOUGH = 0.75, 0.95  # of the crossings that an alignment explains: else it is wrong; if it is good
@@ -97,4 +98,13 @@ def find_mixed(found: Placing) -> Mask:
             least = min(has[:, first].sum(), has[:, second].sum())
             if near and np.count_nonzero(has[:, first] & has[:, second]) < _MIN_TOGETHER * least:
                 mixed[order[i : j + 1]] = True
+    return _with_bundles(found.places, mixed)
+
+
+def _with_bundles(places: Sequence[Place], mixed: Mask) -> Mask:
+    """Return the mask (K,) of conductors with the other wires of their bundles."""
+    at = np.array([(place.across_m, place.raised_m) for place in places])
+    near = np.linalg.norm(at[:, np.newaxis] - at, axis=2) <= _BUNDLE_M
+    for _ in range(len(places)):
+        mixed = np.asarray(near[mixed].any(axis=0)) | mixed
     return mixed

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.span_view import SpanAxis, SpanView
 
 _STEP_M = 0.1
+_EXACT_SD_M = 0.3
 _WIDEN_SD = 1.5  # of errors of positions
 
 
@@ -51,6 +52,11 @@ class SpanSight:
     def widened_bins(self) -> int:
         """By how many bins errors of positions blur each end of a stretch without a conductor."""
         return round(_WIDEN_SD * self.shift_sd_m / self.axis.bin_m)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether errors of positions are too small to look like parallax, or to mix up conductors."""
+        return self.shift_sd_m <= _EXACT_SD_M
 
     @property
     def fine(self) -> Mask:

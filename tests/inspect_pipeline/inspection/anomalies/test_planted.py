@@ -1,0 +1,74 @@
+"""Planted faults in flights that are hard to judge: each is found, in its frames, and nothing else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import inspected
+import numpy as np
+import pytest
+
+from inspect_pipeline.index import publish as index
+from inspect_pipeline.index.reading import select
+from inspect_pipeline.inspection.spans import import_spans
+from inspect_pipeline.simulation.options import FaultKind, FlightKind, SimulationOptions
+from inspect_pipeline.simulation.truth import simulate_truth
+from inspect_pipeline.store.store import Store
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.slow  # two seconds or so each
+
+NEUTRAL_BEHIND_PHASES = SimulationOptions(
+    40.0, 10.0, (2160, 3840), 9003, n_phases=6, faults=(FaultKind.SAG_OUTLIER,)
+)
+BUNDLES_IN_SMALL_IMAGES = SimulationOptions(
+    40.0, 2.0, (360, 640), 9001, flight=FlightKind.LOSS, n_bundle=4, faults=(FaultKind.BROKEN_CONDUCTOR,)
+)
+FROM_ALL_SIDES = SimulationOptions(
+    40.0, 4.0, (2160, 3840), 9018, flight=FlightKind.ORBIT, faults=(FaultKind.MISSING_CONDUCTOR,)
+)
+FEW_FRAMES = SimulationOptions(
+    40.0, 1.0, (720, 1280), 9008, flight=FlightKind.LOSS, n_circuits=2, faults=(FaultKind.SAG_OUTLIER,)
+)
+TURNS_WHILE_CIRCLING = SimulationOptions(
+    40.0, 1.0, (360, 640), 9006, flight=FlightKind.ORBIT, faults=(FaultKind.ORIENTATION_JUMP,)
+)
+ENDS_OF_IMAGES_UNDER_NOISE = SimulationOptions(
+    40.0,
+    2.0,
+    (720, 1280),
+    9007,
+    flight=FlightKind.LOSS,
+    n_circuits=2,
+    position_noise_m=1.7555402249755792,
+    drift_m=0.5945664969328173,
+    attitude_noise_deg=1.0,
+    faults=(FaultKind.MISSING_CONDUCTOR,),
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        (NEUTRAL_BEHIND_PHASES, "sag_change"),
+        (BUNDLES_IN_SMALL_IMAGES, "conductor_lost"),
+        (FROM_ALL_SIDES, "conductor_count"),
+        (FEW_FRAMES, "sag_change"),
+        (TURNS_WHILE_CIRCLING, "orientation_jump"),
+        (ENDS_OF_IMAGES_UNDER_NOISE, "conductor_count"),
+    ],
+)
+def test_the_planted_fault_is_found_alone(tmp_path: Path, options: SimulationOptions, kind: str) -> None:
+    truth = simulate_truth(options)
+    store = Store(tmp_path)
+    inspected.write_truth(store, "flight", truth, np.random.default_rng(options.seed))
+    import_spans(store, inspected.spans_of(truth))
+    index.publish(store)
+    found = select(store, "SELECT kind, span_id, start_ns, end_ns FROM anomalies")
+    (fault,) = truth.faults
+    assert [(one["kind"], one["span_id"]) for one in found] == [(kind, fault.span_id)]
+    common = min(found[0]["end_ns"], fault.end_ns) - max(found[0]["start_ns"], fault.start_ns)
+    whole = max(found[0]["end_ns"], fault.end_ns) - min(found[0]["start_ns"], fault.start_ns)
+    assert common >= whole / 2

@@ -167,7 +167,7 @@ def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) ->
     """Return whether bins reach a structure, or lines had their tracks when the bins came into view.
 
     Where a flight starts within a span, lines without a track yet look like missing ones. There frames must
-    show where it ends, and the evidence be twice as strong.
+    show where it ends.
     """
     along_m, near_m = one.axis.bins_m[bins], 2 * rules.anomalies["margin_m"]
     if along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m:
@@ -177,7 +177,7 @@ def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) ->
     weight = one.votes.weight[:, number]
     first, first_here = (np.flatnonzero(mask.any(axis=1))[0] for mask in (weight, weight[:, bins]))
     is_late = first_here - first >= _TRACK_START_FRAMES
-    return bool(is_late or _times_seen_ending(one, number, bins) >= 2 * rules.anomalies["min_support"])
+    return bool(is_late or _times_seen_ending(one, number, bins) >= rules.anomalies["min_support"])
 
 
 def _count_finding(

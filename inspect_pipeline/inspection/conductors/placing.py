@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ _NEAR_M = (0.2, 0.1)
 _NEAR_RAW_M = (0.5, 0.25, 0.1)
 _BUNDLE_M = 0.6  # between wires of a bundle
 _MAX_MIXED_M, _MIN_TOGETHER = 3.0, 0.3
+_LOST_SD_M = 1.0  # of positions of frames that could not be aligned
 _MOST_SUPERFLUOUS, _MAX_LOST = 4, 0.01  # places that are tried without; of what is explained
 _LEAST, _ENOUGH = 0.75, 0.95  # of the crossings that an alignment explains: else it is wrong; if it is good
 
@@ -47,6 +49,9 @@ def place_conductors(raw: Sequence[SpanSight]) -> Placing:
     best = _place(raw, align_spans(raw), _NEAR_M)
     if best.explained < _ENOUGH:
         best = max(best, _place(raw, raw, _NEAR_RAW_M), key=lambda found: found.explained)
+    if best.explained < _LEAST:
+        sights = [replace(one, shift_sd_m=max(one.shift_sd_m, _LOST_SD_M)) for one in best.sights]
+        return best._replace(sights=sights)
     return _without_superfluous(raw, best)
 
 
@@ -56,7 +61,7 @@ def _without_superfluous(raw: Sequence[SpanSight], found: Placing) -> Placing:
     Frames aligned by another wire of a bundle make one more of its wires than there are.
     """
     for _ in range(_MOST_SUPERFLUOUS):
-        mixed = np.flatnonzero(find_mixed(found)) if found.explained >= _LEAST else ()
+        mixed = np.flatnonzero(find_mixed(found))
         if not len(mixed):
             break
         has = np.concatenate([frames_with(one, found.places) for one in found.sights]).sum(axis=0)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.inspection.anomalies.frames import Finding
-from inspect_pipeline.inspection.conductors.votes import NO_CONDUCTOR
+from inspect_pipeline.inspection.conductors.matching import NO_CONDUCTOR
 from inspect_pipeline.inspection.rows import find_runs
 from inspect_pipeline.inspection.span_view import visible_gsd_m
 

@@ -21,6 +21,7 @@ from inspect_pipeline.simulation.write import simulate_flight
 if TYPE_CHECKING:
     from pathlib import Path
 
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 OPTIONS = SimulationOptions(
     seconds=6, fps=0.5, image_size=(288, 512), seed=3, schema=SchemaKind.PHOTOGRAPHS, hills_m=5
 )

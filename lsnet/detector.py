@@ -139,24 +139,31 @@ class Detector:
             prepared = [
                 prepare(image, level) for image, own in zip(opened, levels, strict=True) for level in own
             ]
-        maps, remaining = self._run(prepared), iter(prepared)
-
-        def find() -> Detections:
-            with timed("infer"):
-                raw = next(maps)
-            with timed("merge"):
-                return self._postprocess(raw, next(remaining), min_line_score)
-
-        found = []
+        found, results = self._find(prepared, min_line_score, timed), []
         for own in levels:
-            at_levels = [find() for _ in own]
+            at_levels = [next(found) for _ in own]
             with timed("merge"):
-                found.append(merge_levels(at_levels, own))
-        return found
+                results.append(merge_levels(at_levels, own))
+        return results
 
     def levels_of(self, image: ImageArray) -> tuple[float, ...]:
         """Return the factors by which an image is resized before detection."""
         return levels_of((image.shape[0], image.shape[1])) if self.scale is None else (self.scale,)
+
+    def _find(
+        self,
+        prepared: Sequence[PreparedImage],
+        min_line_score: float | None,
+        timed: Callable[[str], AbstractContextManager[object]],
+    ) -> Iterator[Detections]:
+        """Yield what is found in each image, while the next ones run."""
+        maps = self._run(prepared)
+        for image in prepared:
+            with timed("infer"):
+                raw = next(maps)
+            with timed("merge"):
+                found = self._postprocess(raw, image, min_line_score)
+            yield found
 
     def _run(self, prepared: Sequence[PreparedImage]) -> Iterator[Maps]:
         """Yield the raw maps of each image; very large images are run in tiles."""

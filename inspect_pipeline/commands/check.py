@@ -44,15 +44,9 @@ def check(
     """
     from inspect_pipeline.index.check import check_flights
     from inspect_pipeline.index.flights import find_flights
-    from inspect_pipeline.index.reading import select
 
     source = open_store(store)
-    every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"
-    flights = (
-        find_flights(source, flight)
-        if flight is not None
-        else [row["flight_id"] for row in select(source, every)]
-    )
+    flights = find_flights(source, flight)
     results = check_flights(source, flights, rules, fail_on_priority)
     failures = [each for each in results if each.outcome == "failed"]
     for each in results:

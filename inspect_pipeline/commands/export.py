@@ -154,13 +154,9 @@ def _choose_format(output: Path, what: What, form: Form | None) -> Form:
 
 
 def _find_flights(store: Store, name: str | None) -> list[str]:
-    from inspect_pipeline.index.flights import find_flight
-    from inspect_pipeline.index.reading import select
+    from inspect_pipeline.index.flights import find_flight, find_flights
 
-    if name is not None:
-        return [find_flight(store, name)]
-    every = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"
-    return [row["flight_id"] for row in select(store, every)]
+    return find_flights(store, None) if name is None else [find_flight(store, name)]
 
 
 def _to_redaction(mode: Redact | None) -> Redaction | None:

@@ -27,6 +27,7 @@ LEFT JOIN (
 WHERE len(?) = 0 OR s.flight_id IN (SELECT unnest(?))
 ORDER BY s.start_utc, s.flight_id
 """
+_EVERY = "SELECT flight_id FROM flights ORDER BY start_ns, flight_id"
 _SOURCES = "SELECT flight_id, source_uri FROM flights ORDER BY ingested_at DESC, flight_id"
 
 
@@ -38,12 +39,14 @@ def find_flight(store: Store, name: str) -> str:
     return found[0]
 
 
-def find_flights(store: Store, name: str) -> list[str]:
-    """Return the flights that a name means, at least one.
+def find_flights(store: Store, name: str | None) -> list[str]:
+    """Return the flights that a name means, at least one; for None all, in the order of their times.
 
     A name is `last`, the file name of a recording, of which it is the one processed last, or the start of a
     flight_id. Raises UnknownIdError, StoreError.
     """
+    if name is None:
+        return [row["flight_id"] for row in select(store, _EVERY)]
     rows = select(store, _SOURCES) if name else []
     for row in rows:
         path = source_path(row["source_uri"])

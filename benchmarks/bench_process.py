@@ -4,10 +4,11 @@
 
 Simulated images are repeated, since drawing them takes longer than detecting in them; recordings of larger
 images are shorter. In the same rounds the mcap package rewrites the recording, message by message, without
-looking at the images. `batch` processes four recordings by one worker, by several, and by one on one core.
-Wall times depend on what else runs; the CPU time of all processes hardly does. Memory is the greatest sum of
-the proportional sizes of all processes. Checks: every frame has its row, batches find the same number of
-lines as `process`. The last line is one JSON object.
+looking at the images. `batch` processes four recordings, together as long as that of `process`, by one
+worker, by several, and by one on one core. Each run is reported on stderr when it ends. Wall times depend on
+what else runs; the CPU time of all processes hardly does. Memory is the greatest sum of the proportional
+sizes of all processes. Checks: every frame has its row, batches find the same number of lines by any workers.
+The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -75,16 +76,21 @@ def measure(folder: Path, size: str, arguments: argparse.Namespace, failed: list
     copies = max(1, round(arguments.copies * 1920 * 1080 / (width * height)))
     source, n_frames = folder / f"{size}.mcap", arguments.frames * copies
     simulate(source, SimulationOptions(seconds=arguments.frames / FPS, fps=FPS, image_size=(height, width)))
+    repeat(source, folder / "long.mcap", copies, arguments.frames, shift_ns=0)
+    n_copies = max(1, copies // 4)  # in each recording of a batch
     for i in range(4):
-        repeat(source, inbox / f"{i}.mcap", copies, arguments.frames, shift_ns=i * 10**12)
+        repeat(source, inbox / f"{i}.mcap", n_copies, arguments.frames, shift_ns=i * 10**12)
+    n_in_batch = 4 * n_copies * arguments.frames
     rounds: defaultdict[str, list[Usage]] = defaultdict(list)
     profiles = []
     for i in range(arguments.rounds):
         store = folder / f"store{size}{i}"
-        rounds["process"].append(run("process", inbox / "0.mcap", "--store", store))
-        n_lines = count_lines(store, failed, n_frames)
-        rounds["mcap rewrite"].append(run_python(__file__, inbox / "0.mcap", folder / "rewritten.mcap"))
-        profiles.append(profile(inbox / "0.mcap", folder / f"profiled{size}{i}"))
+        rounds["process"].append(run("process", folder / "long.mcap", "--store", store))
+        count_lines(store, failed, n_frames)
+        rounds["mcap rewrite"].append(run_python(__file__, folder / "long.mcap", folder / "rewritten.mcap"))
+        profiles.append(profile(folder / "long.mcap", folder / f"profiled{size}{i}"))
+        note(f"process, {n_frames} frames", rounds["process"][-1])
+        n_lines = set()
         for name, jobs, n_cores in (
             ("batch 1", 1, None),
             ("batch N", arguments.jobs, None),
@@ -93,17 +99,24 @@ def measure(folder: Path, size: str, arguments: argparse.Namespace, failed: list
             store = folder / f"store{size}{i}{name}"
             with on_cores(n_cores):
                 rounds[name].append(run("batch", inbox, "--store", store, "--jobs", jobs, "--settle", 0))
-            if count_lines(store, failed, 4 * n_frames) != 4 * n_lines:
-                failed.append(f"{size}, {name}: another number of lines than process")
+            n_lines.add(count_lines(store, failed, n_in_batch))
+            note(f"{name}, {n_in_batch} frames", rounds[name][-1])
+        if len(n_lines) > 1:
+            failed.append(f"{size}: batches find {sorted(n_lines)} lines")
         print(f"round {i + 1} of {arguments.rounds} at {size}", file=sys.stderr, flush=True)
-    return table(size, rounds, n_frames) | ratios(rounds, profiles)
+    return table(size, rounds, n_frames, n_in_batch) | ratios(rounds, profiles)
 
 
-def table(size: str, rounds: dict[str, list[Usage]], n_frames: int) -> dict[str, float]:
+def note(what: str, used: Usage) -> None:
+    """Report a run that has ended: all of them take minutes."""
+    print(f"{what}: {used.wall_s:.1f} s", file=sys.stderr, flush=True)
+
+
+def table(size: str, rounds: dict[str, list[Usage]], n_frames: int, n_in_batch: int) -> dict[str, float]:
     figures = {}
     print(f"{size:12} {'frames/s':>9} {'CPU ms/frame':>13} {'peak MiB':>9}")
     for name, done in rounds.items():
-        frames = n_frames * (1 if name in ("process", "mcap rewrite") else 4)
+        frames = n_frames if name in ("process", "mcap rewrite") else n_in_batch
         per_s = statistics.median(frames / each.wall_s for each in done)
         cpu_ms = statistics.median(1e3 * each.cpu_s / frames for each in done)
         peak = max(each.peak_bytes for each in done) / 2**20

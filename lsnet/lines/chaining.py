@@ -19,14 +19,13 @@ from scipy.spatial import cKDTree
 
 from lsnet.geometry import angle_between, cross, length, orientation
 from lsnet.lines.bridging import group_stretches
-from lsnet.lines.fitting import Chains, fit_chains
+from lsnet.lines.fitting import ChainFits, Chains, fit_chains
 from lsnet.lines.proposals import Proposals
 from lsnet.lines.quantiles import group_quantiles
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
     from lsnet.arrays import Floats, Floats32, Indices
-    from lsnet.lines.fitting import ChainFits
     from lsnet.lines.proposals import Rate
 
 MIN_OFFSET_PX = 0.7  # a smaller link tolerance would cut lines at random
@@ -133,7 +132,7 @@ def _chain(ends: Floats, scores: Floats, config: ChainingConfig) -> tuple[Chains
 def _chain_straight(ends: Floats, scores: Floats, config: ChainingConfig) -> tuple[Chains, ChainFits]:
     """Chain linked segments."""
     pairs, offsets = _link(ends, config)
-    found: list[Chains] = []
+    found: list[tuple[Chains, ChainFits]] = []
     left, tolerance_px = np.arange(len(ends)), config.max_offset_px
     while True:
         chains = Chains.connected(ends, pairs[offsets <= tolerance_px], left, config.min_length_px)
@@ -142,10 +141,10 @@ def _chain_straight(ends: Floats, scores: Floats, config: ChainingConfig) -> tup
         is_kept = ~is_wide & (fit.extent_px >= config.min_length_px)
         if not found and is_kept.all():
             return chains, fit
-        found.append(chains.chosen(is_kept))
+        found.append((chains.chosen(is_kept), fit.chosen(is_kept)))
         if not is_wide.any():
-            chains = Chains.together(found)
-            return chains, fit_chains(ends, scores, chains, config.step_px)
+            parts, fits = zip(*found, strict=True)
+            return Chains.together(parts), ChainFits.together(fits)
         left = chains.members[is_wide[chains.number]]
         is_left = np.zeros(len(ends), bool)
         is_left[left] = True

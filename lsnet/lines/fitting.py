@@ -84,6 +84,25 @@ class ChainFits:
     mean_score: Floats
     support: Floats
 
+    def chosen(self, which: Mask) -> ChainFits:
+        """Return the fits of some of the chains, (C,) which."""
+        counts = np.diff(self.polylines.first)
+        points = self.polylines.points[np.repeat(which, counts)]
+        return ChainFits(Polylines.joined(points, counts[which]), *(v[which] for v in self._values()))
+
+    @classmethod
+    def together(cls, parts: Sequence[ChainFits]) -> ChainFits:
+        """Return the fits of all parts."""
+        points, counts = (
+            np.concatenate(values)
+            for values in zip(*((p.polylines.points, np.diff(p.polylines.first)) for p in parts), strict=True)
+        )
+        values = zip(*(part._values() for part in parts), strict=True)
+        return cls(Polylines.joined(points, counts), *map(np.concatenate, values))
+
+    def _values(self) -> tuple[Floats, Floats, Floats, Floats]:
+        return self.extent_px, self.spread_px, self.mean_score, self.support
+
 
 def fit_chains(ends: Floats, scores: Floats, chains: Chains, step_px: float) -> ChainFits:
     """Fit polylines to chains of segments (N, 4) with scores (N,)."""

@@ -115,10 +115,11 @@ class OpenVinoBackend:
         model = self._model.clone()
         model.reshape([1, height, width, 3])
         streams = max(1, min(self.threads, self._max_pixels // (height * width)))
-        options = {
+        options: dict[str, Any] = {
             "INFERENCE_PRECISION_HINT": "f32" if self.precision == "int8" else self.precision,
             "NUM_STREAMS": str(streams),
             "INFERENCE_NUM_THREADS": str(self.threads),
+            "ENABLE_CPU_PINNING": False,  # else every process of one thread computes on the first core
         }
         compiled = openvino_core().compile_model(model, "CPU", options)
         idle: SimpleQueue[Any] = SimpleQueue()

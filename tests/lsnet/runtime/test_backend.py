@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import importlib
+import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -207,6 +208,15 @@ def test_missing_openvino_is_one_line(tiny: WeightsFile, monkeypatch: pytest.Mon
     for name in ("openvino", "openvino-bf16", "openvino-int8"):
         with pytest.raises(LSNetError, match=r"pip install 'lsnet-pipe\[openvino\]'"):
             open_backend(tiny, name)
+
+
+def test_threads_are_not_held_to_a_core() -> None:
+    """Processes of one thread would share the first one."""
+    openvino_or_skip()
+    backend = OpenVinoBackend.convert(tiny_net(), threads=1)
+    list(backend.run([photo(64, 64)]))
+    tasks = [int(task.name) for task in Path("/proc/self/task").iterdir()]
+    assert all(os.sched_getaffinity(task) == os.sched_getaffinity(0) for task in tasks)
 
 
 def test_backends_that_end_leave_a_stack_for_signal_handlers() -> None:

@@ -18,6 +18,7 @@ MIGRATIONS = (
     "0008_signals.sql",
     "0009_conductors.sql",
     "0010_track_scores.sql",
+    "0011_terrain.sql",
 )
 
 

@@ -11,6 +11,7 @@ class FramePose:
 
     attitude_source: "camera", "vehicle" for a camera taken to look straight down out of the vehicle, "nadir"
     for one taken to look straight down, None without a position. focal_px is in pixels of this frame.
+    rise_m: of the ground below since the first position, by a terrain model; height_m is above that ground.
     gsd_m and wire_px are those at the middle of the image, on the ground.
     """
 
@@ -29,3 +30,4 @@ class FramePose:
     ground_lat_deg: float | None = None
     ground_lon_deg: float | None = None
     wire_px: float | None = None
+    rise_m: float | None = None

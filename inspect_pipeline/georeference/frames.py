@@ -67,7 +67,8 @@ class Georeferencer:
         if pose is None:
             return FramePose(focal_px=focal_px)
         turns, source = _camera_turns(pose)
-        height_m = self._height_m(pose)
+        rise_m = self._rise_m(pose)
+        height_m = self._height_m(pose, rise_m)
         sight = self._sight(pose, turns, height_m, lens)
         gsd_m = sight.distance_m / focal_px if sight and focal_px else None
         return FramePose(
@@ -86,6 +87,7 @@ class Georeferencer:
             ground_lat_deg=sight.lat_deg if sight else None,
             ground_lon_deg=sight.lon_deg if sight else None,
             wire_px=self.options.wire_m / gsd_m if gsd_m else None,
+            rise_m=rise_m if height_m is not None else None,
         )
 
     def _lens(self, frame: Frame) -> Intrinsics | None:
@@ -99,18 +101,22 @@ class Georeferencer:
             return lens if lens.image_size == (height, width) else resized(lens, (height, width))
         return lens_of_view((height, width), view_deg) if view_deg is not None else None
 
-    def _height_m(self, pose: Pose) -> float | None:
+    def _rise_m(self, pose: Pose) -> float | None:
+        """Return the height of the ground above that below the first position; None without a terrain."""
+        if self.terrain is None or pose.latitude_deg is None or pose.longitude_deg is None:
+            return None
+        begin = self.poses.positions.values[0]
+        (rise_m,) = _rise_m(self.terrain, (begin[0], begin[1]), [pose.latitude_deg], [pose.longitude_deg])
+        return float(rise_m) if np.isfinite(rise_m) else None
+
+    def _height_m(self, pose: Pose, rise_m: float | None) -> float | None:
         """Return the height above ground: from the given altitude of the ground, else from the recording."""
         height_m = pose.height_m
         if self.options.ground_alt_m is not None and pose.altitude_m is not None:
             height_m = pose.altitude_m - self.options.ground_alt_m
         if self.terrain is None or height_m is None:
             return height_m
-        if pose.latitude_deg is None or pose.longitude_deg is None:
-            return None
-        begin = self.poses.positions.values[0]
-        rise_m = _rise_m(self.terrain, (begin[0], begin[1]), [pose.latitude_deg], [pose.longitude_deg])
-        return height_m - float(rise_m[0]) if np.isfinite(rise_m[0]) else None
+        return height_m - rise_m if rise_m is not None else None
 
     def _meet_ground(self, here: tuple[float, float], height_m: float, ray: Floats) -> Floats:
         """Return (3,) metres east, north and up from the camera to the ground along a ray (3,), or NaN."""

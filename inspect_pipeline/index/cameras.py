@@ -16,7 +16,8 @@ _FRAMES = """
 SELECT channel_id, frame_idx, log_time_ns, stamp_ns,
        coalesce(width, -1) AS width, coalesce(height, -1) AS height,
        status = 'ok' AS is_ok, sharpness, mean_luma, lat_deg, lon_deg, height_m, cam_yaw_deg, cam_pitch_deg,
-       cam_roll_deg, pose_age_ms, focal_px, coalesce(attitude_source = 'camera', false) AS is_turn_known
+       cam_roll_deg, pose_age_ms, focal_px, gsd_m, ground_lat_deg, ground_lon_deg, rise_m,
+       coalesce(attitude_source = 'camera', false) AS is_turn_known
 FROM frames
 WHERE flight_id = $flight_id
 ORDER BY channel_id, frame_idx

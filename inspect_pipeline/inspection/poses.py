@@ -30,10 +30,14 @@ _HALF_WINDOW_S, _MIN_SMOOTHED = 4.0, 5
 
 
 def camera_poses(frames: FrameRows, origin: LocalMetres, rules: Rules) -> CameraPoses:
-    """Return the poses of all frames, with NaN positions where attitude is assumed or the pose too old."""
+    """Return the poses of all frames, with NaN positions where attitude is assumed or the pose too old.
+
+    Heights are above the ground below the first position of the flight, if a terrain model was there.
+    """
     is_old = ~frames.is_turn_known | (frames.pose_age_ms > rules.coverage["max_pose_age_ms"])
     ground = origin.to_metres(frames.lat_deg, frames.lon_deg)
-    positions = smooth_positions(np.column_stack((ground, frames.height_m)), frames.times_s)
+    heights_m = frames.height_m + np.nan_to_num(frames.rise_m)
+    positions = smooth_positions(np.column_stack((ground, heights_m)), frames.times_s)
     positions[is_old] = np.nan
     return CameraPoses(
         positions=positions,

@@ -23,7 +23,8 @@ NO_TRACK = -1
 class FrameRows:
     """Frames of a camera in order, one array (N,) per column. NaN for NULL, -1 for a NULL size.
 
-    is_turn_known: whether the attitude of the camera was recorded and not assumed.
+    is_turn_known: whether the attitude of the camera was recorded and not assumed. rise_m: of the ground
+    below, by a terrain model; ground_lat_deg, ground_lon_deg: where the optical axis meets the ground.
     """
 
     frame_idx: Ints
@@ -42,6 +43,10 @@ class FrameRows:
     cam_roll_deg: Floats
     pose_age_ms: Floats
     focal_px: Floats
+    gsd_m: Floats
+    ground_lat_deg: Floats
+    ground_lon_deg: Floats
+    rise_m: Floats
     is_turn_known: Mask
 
     def __len__(self) -> int:

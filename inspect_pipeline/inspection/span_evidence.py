@@ -15,6 +15,7 @@ from inspect_pipeline.inspection.lines import confirmed_lines, number_untracked
 from inspect_pipeline.inspection.poses import camera_poses, find_pose_problems
 from inspect_pipeline.inspection.rows import find_runs
 from inspect_pipeline.inspection.span_view import make_axis, near_path, select_frames, visible_gsd_m
+from inspect_pipeline.inspection.terrain import find_ground
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,6 +95,7 @@ def gather_evidence(
 ) -> list[SpanEvidence]:
     """Return the evidence about each span near the path of a camera."""
     lines = evidence_lines(camera, rules)
+    ground = find_ground([camera], origin)
     cameras = camera_poses(camera.frames, origin, rules)
     problems = find_pose_problems(camera.frames, is_usable, rules)
     cameras.positions[~is_usable] = np.nan
@@ -101,7 +103,7 @@ def gather_evidence(
     known = np.isfinite(path).all(axis=1)
     sights: dict[str | None, list[SpanSight]] = {}
     for span in spans:
-        axis = make_axis(span, origin, rules)
+        axis = make_axis(span, origin, rules, ground)
         if near_path(axis.centres[:, :2], path[known], rules.coverage["near_m"]).any():
             sights.setdefault(span.line_id, []).append(_look(axis, cameras, lines, rules))
     evidence = []

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inspect_pipeline.inspection.rows import count_up
+from inspect_pipeline.inspection.terrain import LEVEL
 
 if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Ints, Mask
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rows import LineRows
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
+    from inspect_pipeline.inspection.terrain import Ground
 
 
 _CELLS_AT_A_TIME = 1 << 18  # frames times points, to bound memory
@@ -33,6 +35,8 @@ class SpanAxis:
     """Axis of a span in local metres, divided into bins with centres `centres` (B, 3).
 
     along, across: horizontal unit vectors (2,). chord_m (B,): height of the chord between the structures.
+    ground_m (B,): height of the ground below. is_ground_known: whether it is near both structures. Heights
+    are above the ground at the first position.
     """
 
     span_id: str
@@ -44,6 +48,8 @@ class SpanAxis:
     height_m: float
     centres: Floats
     chord_m: Floats
+    ground_m: Floats
+    is_ground_known: bool
     expected_conductors: int | None
 
     @property
@@ -82,8 +88,8 @@ class FrameRange:
     lines: LineRows
 
 
-def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
-    """Return the axis of a span with the default height and sag where they are not given."""
+def make_axis(span: Span, origin: LocalMetres, rules: Rules, ground: Ground = LEVEL) -> SpanAxis:
+    """Return the axis of a span, on its ground, with the default height and sag where they are not given."""
     limits = rules.coverage
     start = origin.to_metres(span.from_lat_deg, span.from_lon_deg)
     end = origin.to_metres(span.to_lat_deg, span.to_lon_deg)
@@ -92,6 +98,7 @@ def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
     n_bins = max(1, round(length_m / limits["bin_m"]))
     shares = (np.arange(n_bins) + 0.5) / n_bins
     heights = [limits["default_height_m"] if h is None else h for h in (span.from_height_m, span.to_height_m)]
+    heights = (np.array(heights) + ground.at(np.stack((start, end)))).tolist()
     drops = 4 * limits["sag_share"] * length_m * shares * (1 - shares)
     centres = start + shares[:, np.newaxis] * (end - start)
     chord_m = heights[0] + shares * (heights[1] - heights[0])
@@ -105,6 +112,8 @@ def make_axis(span: Span, origin: LocalMetres, rules: Rules) -> SpanAxis:
         height_m=sum(heights) / 2,
         centres=np.column_stack((centres, chord_m - drops)),
         chord_m=chord_m,
+        ground_m=ground.at(centres),
+        is_ground_known=ground.is_known(np.stack((start, end))),
         expected_conductors=span.expected_conductors,
     )
 

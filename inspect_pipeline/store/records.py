@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Version of the files in a flight's folder. A new one has recordings processed again, and older programs
 # refuse the store. It stays the same for changes of derived data and for migrations of the index alone.
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 ANNOTATED, SIDECAR = "annotated.mcap", "annotations.mcap"  # in a flight's folder
 _DEFAULTS: dict[str, Any] = {"warnings": (), "annotations": ANNOTATED, "sha256": {}}  # of older versions
 

@@ -53,6 +53,10 @@ def flight(
         cam_roll_deg=np.zeros(n),
         pose_age_ms=np.zeros(n),
         focal_px=np.full(n, FOCAL_PX),
+        gsd_m=np.full(n, height_m / FOCAL_PX),
+        ground_lat_deg=lat_deg,
+        ground_lon_deg=lon_deg,
+        rise_m=np.full(n, np.nan),
         is_turn_known=np.ones(n, bool),
     )
     rows = np.flatnonzero(seen)

@@ -13,11 +13,14 @@ from inspect_pipeline.index.flight_tables import FlightWriter
 from inspect_pipeline.inspection.spans import Span
 from inspect_pipeline.recording.types import Frame
 from inspect_pipeline.simulation.options import SchemaKind
+from inspect_pipeline.simulation.plan import plan_flight
+from inspect_pipeline.simulation.truth import to_geodetic, to_local
 from lsnet.segments import Detections, Lines, Segments
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from inspect_pipeline.simulation.plan import FlightPlan
     from inspect_pipeline.simulation.records import FlightTruth, FrameTruth
     from inspect_pipeline.store.records import FlightTotals
     from inspect_pipeline.store.store import Store
@@ -40,6 +43,7 @@ def write_truth(store: Store, name: str, truth: FlightTruth, rng: np.random.Gene
 def write_rows(
     folder: Path, flight_id: str, truth: FlightTruth, rng: np.random.Generator | None = None
 ) -> FlightTotals:
+    hills = plan_flight(replace(truth.options, faults=())) if truth.options.hills_m else None
     with FlightWriter(folder, flight_id) as writer:
         rows = flights.TrackedRows(writer)
         for frame in truth.frames:
@@ -50,7 +54,7 @@ def write_rows(
                     infer_ms=20.0,
                     sharpness=frame.sharpness,
                     mean_luma=frame.mean_luma,
-                    place=_to_place(frame),
+                    place=_to_place(frame, hills),
                     signals={"battery": 90.0 - frame.frame_idx},
                 )
         return rows.finish()
@@ -113,10 +117,27 @@ def _to_detections(frame: FrameTruth, rng: np.random.Generator | None) -> Detect
     return Detections(Segments(ends, scores, size), Lines(points, scores, size))
 
 
-def _to_place(frame: FrameTruth) -> FramePose:
+def _to_place(frame: FrameTruth, hills: FlightPlan | None) -> FramePose:
+    """The pose of a frame, as with a terrain model where there are `hills`."""
     names = ("lat_deg", "lon_deg", "alt_m", "height_m", "heading_deg", "cam_roll_deg", "cam_pitch_deg")
     columns = {name: getattr(frame, name) for name in (*names, "cam_yaw_deg", "pose_age_ms", "focal_px")}
-    if frame.height_m is not None:
-        columns["height_m"] = frame.height_m - frame.ground_m  # as with a terrain model
+    if hills and frame.height_m is not None:
+        columns |= {"height_m": frame.height_m - frame.ground_m, "rise_m": frame.ground_m}
+        columns |= _sight(frame, hills)
     place = FramePose(**columns, attitude_source="camera")
     return place if frame.pose_age_ms is not None else replace(place, pose_age_ms=None)
+
+
+def _sight(frame: FrameTruth, plan: FlightPlan) -> dict[str, float]:
+    """Where the optical axis meets hills, to a tenth of a metre, and metres per pixel there."""
+    x, y = to_local(plan, np.array(frame.lat_deg), np.array(frame.lon_deg))
+    left, up = np.radians((plan.azimuth_deg - frame.cam_yaw_deg, frame.cam_pitch_deg))
+    away_m = np.arange(0.0, 100.0, 0.1)
+    steps = np.outer(away_m, (np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)))
+    points = steps + np.array((float(x), float(y), frame.height_m))
+    is_below = points[:, 2] <= plan.line.route.ground_m(points[:, 0])
+    if not is_below.any():
+        return {}
+    met = int(np.argmax(is_below))
+    lat_deg, lon_deg, _ = to_geodetic(plan, points[met])
+    return {"ground_lat_deg": lat_deg, "ground_lon_deg": lon_deg, "gsd_m": away_m[met] / frame.focal_px}

@@ -81,7 +81,12 @@ def measure_conductors(one: SpanEvidence, rules: Rules) -> list[SpanConductor]:
 
 
 def _shows_sag(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
-    """Return whether a conductor is visible and judged along enough of a span, and from low to high on it."""
+    """Return whether a conductor is visible and judged along enough of a span, and from low to high on it.
+
+    A structure at an unknown height makes a sag of its own.
+    """
+    if not one.axis.is_ground_known:
+        return False
     parabola, least_m = one.sight.parabola[bins], rules.of("sag_change")["min_share"] * one.axis.length_m
     is_visible = len(bins) * one.axis.bin_m >= least_m and np.ptp(parabola) >= _MIN_SAG_SHOWN
     return bool(is_visible and one.is_judged[number, bins].mean() >= _MIN_JUDGED)

@@ -72,7 +72,7 @@ def find_crossings_of_span(
     others: further spans, whose conductors are no such lines.
     """
     limits = rules.of("crossing_line")
-    heights = np.arange(0.0, one.axis.height_m + _HEIGHT_STEP_M / 2, _HEIGHT_STEP_M)
+    heights = np.arange(one.axis.ground_m.min(), one.axis.height_m + _HEIGHT_STEP_M / 2, _HEIGHT_STEP_M)
     sight = _without_spans(one, others)
     planes = [_project(sight, height_m, rules) for height_m in heights.tolist()]
     found = _most_alike(planes, one.sight.shift_sd_m)

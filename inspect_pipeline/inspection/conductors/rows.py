@@ -69,7 +69,7 @@ def conductor_rows(
             raised_sd_m=raised_sd_m,
             sag_m=_nominal_sag_m(one) + place.sag_m if fit else None,
             sag_sd_m=sd[2],
-            ground_m=float(points[:, 1].min()) if points is not None else None,
+            ground_m=float((points[:, 1] - one.axis.ground_m).min()) if points is not None else None,
             ground_sd_m=float(np.hypot(raised_sd_m, sd[2])) if raised_sd_m and sd[2] else None,
             clearance_m=clearance_m,
             nearest=nearest,

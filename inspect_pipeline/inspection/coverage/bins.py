@@ -25,6 +25,7 @@ from inspect_pipeline.inspection.span_view import (
     view_span,
     visible_gsd_m,
 )
+from inspect_pipeline.inspection.terrain import find_ground
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -59,9 +60,9 @@ def span_bins(
     """Yield the bins of each span near the path."""
     known = [_place_camera(camera, origin, rules) for camera in cameras]
     path = np.concatenate([camera.path for camera in known])
-    near_m = rules.coverage["near_m"]
+    near_m, ground = rules.coverage["near_m"], find_ground(cameras, origin)
     for span in spans:
-        axis = make_axis(span, origin, rules)
+        axis = make_axis(span, origin, rules, ground)
         passed = near_path(axis.centres[:, :2], path, near_m)
         if not passed.any():
             continue
@@ -84,6 +85,7 @@ def corridor_bins(cameras: Sequence[CameraRows], origin: LocalMetres, rules: Rul
     centres, bin_m = _divide_path(flown, origin, rules.coverage["bin_m"])
     if not len(centres):
         return
+    centres[:, 2] = find_ground(cameras, origin).at(centres[:, :2])
     counts = _BinCounts(len(centres))
     for rows in cameras:
         camera, found = _place_camera(rows, origin, rules), has_lines(rows, rules)

@@ -189,6 +189,8 @@ def test_heights_count_from_where_the_recording_begins(tmp_path: Path) -> None:
     )
     place = placed(replace(track(), positions=flown), terrain=dem)
     assert place.height_m == pytest.approx(5, abs=0.2)
+    assert place.rise_m == pytest.approx(25, abs=0.2)
+    assert placed(replace(track(), positions=flown)).rise_m is None
 
 
 def test_beside_the_terrain_nothing_is_known(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ FROZEN = {
     "0002_runs.sql": "afd24f9c8e64f3b6354f978b03861af96164dd7d3a94304a5cdbd2ef28f4b474",
     "0003_inspection.sql": "e14853becf2b2686d5994ff6f28077bf7ebd768b5a4e127407b4442e449c24d6",
 }
-RESULT_COLUMNS = (3, "6f90d909ef2f7792370bdb46a4b2291aab94093ee41c2423e6e62ab87a99b65d")
+RESULT_COLUMNS = (4, "708cab689f736eb79d7dc50f25cb00e8632a03fa4dc1024640f4fe911abd241a")
 
 
 @pytest.fixture(params=OLD_STORES, ids=lambda path: path.name)

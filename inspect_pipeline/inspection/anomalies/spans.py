@@ -81,8 +81,7 @@ def find_count_changes(
 ) -> Iterator[Finding]:
     """Find missing conductors, further ones, and those that end or are interrupted within the span."""
     missing = missing_conductors(one, rules)
-    # More places than conductors are those of wires that frames mix up, of which nothing is known.
-    n_left = min(len(one.places), expected) - len(missing)
+    n_left = _count_places(one, expected) - len(missing)
     known = np.flatnonzero(inner_bins(one, rules) & one.is_judged.any(axis=0))
     if len(missing) and n_left < expected:
         bins = np.flatnonzero((one.states[missing] == ABSENT).any(axis=0))
@@ -100,13 +99,22 @@ def find_count_changes(
         yield from _find_deficits(one, number, expected, origin, rules)
 
 
+def _count_places(one: SpanEvidence, expected: int) -> int:
+    """Return how many conductors the places of a span are of.
+
+    One more than expected is of wires that frames mix up, if there are such. Still more are not understood.
+    """
+    n_places, n_unknown = len(one.places), int((~one.is_judged.any(axis=1)).sum())
+    return expected if n_places == expected + 1 and n_unknown > 1 else n_places
+
+
 def _find_deficits(
     one: SpanEvidence, number: int, expected: int, origin: LocalMetres, rules: Rules
 ) -> Iterator[Finding]:
     """Find where a conductor ends within the span (lost) or is interrupted (gap)."""
     bin_m, span_id, states = one.axis.bin_m, one.axis.span_id, one.states[number]
     known = np.flatnonzero(inner_bins(one, rules) & (states != UNKNOWN))
-    at_most = min(len(one.places), expected) - (one.states == ABSENT).sum(axis=0)
+    at_most = _count_places(one, expected) - (one.states == ABSENT).sum(axis=0)
     lacking = (states[known] == ABSENT) & (at_most[known] < expected)
     for run in find_runs(_close_gaps(lacking, rules.anomalies["bridged_m"] / bin_m), 1):
         bins, length_m = known[run], len(run) * bin_m

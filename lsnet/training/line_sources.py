@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
+from lsnet.errors import LSNetError
 from lsnet.runtime.backend import open_backend
 from lsnet.synth.backgrounds import BackgroundFolder, BackgroundPool
 from lsnet.synth.pbr.scenes import rendered_pictures
@@ -39,17 +42,25 @@ class LineSource:
     part: Part
     seed: int
 
-    def open(self, threads: int | None = None) -> Callable[[int], Examples | None]:
-        """Return the function that gives the proposals in scene i. Raises LSNetError as its folders do."""
+    def scenes(self) -> LineScenes:
+        """Return the scenes. Raises LSNetError as its folders do."""
         pool = BackgroundPool([BackgroundFolder.parse(text, self.part) for text in self.backgrounds])
         pictures = rendered_pictures(self.rendered, self.part) if self.rendered else ()
-        scenes = LineScenes(pool, pictures, self.seed)
+        return LineScenes(pool, pictures, self.seed)
+
+    def open(self, threads: int | None = None) -> Callable[[int], Examples | None]:
+        """Return the function that gives the proposals in scene i. Raises LSNetError as its folders do."""
+        scenes = self.scenes()
         backend = open_backend(read_weights(self.weights), "auto", threads=threads)
         return lambda index: scenes.examples(index, backend)
 
 
 def collect(source: LineSource, count: int, workers: int, on_scene: Callable[[], None]) -> Examples | None:
-    """Return the proposals in the first `count` scenes, in order; None if there are none."""
+    """Return the proposals in the first `count` scenes, in order; None if there are none.
+
+    Raises:
+        LSNetError: A folder cannot be used, or a process that draws ended.
+    """
     parts = []
     for found in _each(source, count, workers):
         parts += [found] if found else []
@@ -61,8 +72,13 @@ def _each(source: LineSource, count: int, workers: int) -> Iterator[Examples | N
     if workers == 1:
         yield from map(source.open(), range(count))
         return
-    with get_context("spawn").Pool(workers, _start_worker, (source,)) as pool:
-        yield from pool.imap(_look, range(count), CHUNK)
+    source.scenes()  # so that a folder that cannot be used is an error of this process
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(workers, spawn, initializer=_start_worker, initargs=(source,)) as pool:
+        try:
+            yield from pool.map(_look, range(count), chunksize=CHUNK)
+        except BrokenProcessPool as error:
+            raise LSNetError("a process that draws ended; run again, with fewer --workers") from error
 
 
 _worker: list[Callable[[int], Examples | None]] = []  # of this process

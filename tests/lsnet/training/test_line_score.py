@@ -11,6 +11,7 @@ import pytest
 import torch
 from nets import TINY, openvino_or_skip, tiny_net
 
+from lsnet.errors import LSNetError
 from lsnet.lines.features import FEATURES
 from lsnet.lines.overlap import find_overlaps
 from lsnet.lines.polylines import Polylines
@@ -85,6 +86,12 @@ def test_scenes_are_the_same_for_the_same_seed_and_of_every_kind(
     assert not any(scene.lines for scene, kind, _ in drawn if kind == SceneKind.EMPTY)
     without = LineScenes(BackgroundPool([]), (), seed=1)
     assert {without[i][1] for i in range(60)} == set(SceneKind) - {SceneKind.RENDERED}
+
+
+def test_a_folder_that_cannot_be_used_is_one_error_with_workers(tmp_path: Path) -> None:
+    source = LineSource("fast", (), tmp_path, "training", 0)
+    with pytest.raises(LSNetError, match="no rendered pictures in this folder"):
+        collect(source, 2, 2, lambda: None)
 
 
 def test_workers_give_the_same_examples_in_the_same_order() -> None:

@@ -26,12 +26,14 @@ _MIN_FITTING = 0.85  # of the crossings; else they are those of two conductors
 class ConductorFit:
     """A conductor of a span: its place with standard deviations, and the misfit of its lines, in metres.
 
-    sd: of across_m, raised_m and sag_m. misfit_m: distance from the parabola, of most crossings.
+    sd: of across_m, raised_m and sag_m. misfit_m: distance from the parabola, of most crossings. by_swing: by
+    how much sag_m is wrong for each metre that wind swings the middle aside; little if seen from both sides.
     """
 
     place: Place
     sd: tuple[float, float, float]
     misfit_m: float
+    by_swing: float
 
 
 def fit_conductor(sight: SpanSight, crossings: Ints, place: Place) -> ConductorFit | None:
@@ -40,6 +42,7 @@ def fit_conductor(sight: SpanSight, crossings: Ints, place: Place) -> ConductorF
     values, frames = start.copy(), sight.view.frame[crossings]
     fits = np.ones(len(crossings), bool)
     inverse, away = np.diag(_PRIOR_SD**2), np.zeros(len(crossings))
+    parabola, by_swing = sight.parabola[sight.view.bin[crossings]], 0.0
     for _ in range(_ITERATIONS):
         appears, terms = predict_across(sight, crossings, Place(*values.tolist()))
         residuals = sight.view.across_m[crossings] - appears
@@ -47,6 +50,7 @@ def fit_conductor(sight: SpanSight, crossings: Ints, place: Place) -> ConductorF
         normal = (terms * weights[:, np.newaxis]).T @ terms + np.diag(_PRIOR_SD**-2)
         inverse = np.linalg.inv(normal)
         right = (terms * weights[:, np.newaxis]).T @ residuals - np.diag(_PRIOR_SD**-2) @ (values - start)
+        by_swing = float((inverse @ ((terms * weights[:, np.newaxis]).T @ (terms[:, 0] * parabola)))[2])
         values = values + inverse @ right
         away = np.abs(residuals - terms @ (inverse @ right))
         fits = away <= _MAX_AWAY * max(float(np.median(away)), 0.01)
@@ -54,7 +58,8 @@ def fit_conductor(sight: SpanSight, crossings: Ints, place: Place) -> ConductorF
         return None
     sd = np.sqrt(np.diag(inverse))
     misfit_m = float(np.quantile(away, _MISFIT_QUANTILE))
-    return ConductorFit(Place(*values.tolist()), (float(sd[0]), float(sd[1]), float(sd[2])), misfit_m)
+    known = float(sd[0]), float(sd[1]), float(sd[2])
+    return ConductorFit(Place(*values.tolist()), known, misfit_m, by_swing)
 
 
 def _frame_weights(frames: Ints, fits: np.ndarray, residuals: Floats) -> Floats:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.conductors.layout import Place
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
+_SWING_SD = np.tan(np.radians(12.0))  # of the sag: how far aside wind may swing conductors
 _COMMON_SD_M = 0.5  # of the height of all conductors together, which the spans file gives
 
 
@@ -54,6 +55,8 @@ def conductor_rows(
         place = fit.place if fit else common
         sd = fit.sd if fit else (None, None, None)
         raised_sd_m = float(np.hypot(sd[1], _COMMON_SD_M)) if sd[1] is not None else None
+        sag_m = _nominal_sag_m(one) + place.sag_m if fit else None
+        sag_sd_m = _sag_sd_m(one, fit) if fit else None
         nearest, clearance_m = _nearest(lines, k)
         points = lines[k]
         yield ConductorRow(
@@ -67,10 +70,10 @@ def conductor_rows(
             across_sd_m=sd[0],
             raised_m=place.raised_m,
             raised_sd_m=raised_sd_m,
-            sag_m=_nominal_sag_m(one) + place.sag_m if fit else None,
-            sag_sd_m=sd[2],
+            sag_m=sag_m,
+            sag_sd_m=sag_sd_m,
             ground_m=float((points[:, 1] - one.axis.ground_m).min()) if points is not None else None,
-            ground_sd_m=float(np.hypot(raised_sd_m, sd[2])) if raised_sd_m and sd[2] else None,
+            ground_sd_m=float(np.hypot(raised_sd_m, sag_sd_m)) if raised_sd_m and sag_sd_m else None,
             clearance_m=clearance_m,
             nearest=nearest,
         )
@@ -78,6 +81,13 @@ def conductor_rows(
 
 def _nominal_sag_m(one: SpanEvidence) -> float:
     return float((one.axis.chord_m - one.axis.centres[:, 2]).max())
+
+
+def _sag_sd_m(one: SpanEvidence, fit: ConductorFit) -> float:
+    """Return the standard deviation of a sag, with that of the swing, which may itself look like less sag."""
+    nominal_m = _nominal_sag_m(one)
+    swing_m = _SWING_SD * max(nominal_m, nominal_m + fit.place.sag_m)
+    return float(np.hypot(fit.sd[2], fit.by_swing * swing_m))
 
 
 def _points(one: SpanEvidence, place: Place) -> Floats:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow  # a second or so each
 
 ORBIT = SimulationOptions(30.0, 1.0, (1080, 1920), 7, flight=FlightKind.ORBIT)
+PASSED = SimulationOptions(40.0, 4.0, (720, 1280), 9800)
 NOISY = SimulationOptions(
     24.0, 2.0, (720, 1280), 7, position_noise_m=2.0, drift_m=1.0, attitude_noise_deg=1.0
 )
@@ -79,3 +80,22 @@ def test_a_crossing_line_is_found_at_one_frame_a_second(tmp_path: Path) -> None:
     (fault,) = truth_of(plan_flight(options)).faults
     crossings = [row for row in rows_of(tmp_path, options, "anomalies") if row["kind"] == "crossing_line"]
     assert [row["span_id"] for row in crossings] == [fault.span_id]
+
+
+@pytest.mark.parametrize("wind_deg", [0.0, 8.0, 20.0])
+def test_uncertainty_of_sags_covers_wind(tmp_path: Path, wind_deg: float) -> None:
+    """Seen from one side, conductors that swing aside seem to sag by half a metre more or less."""
+    rows = rows_of(tmp_path, replace(PASSED, wind_deg=wind_deg), "conductors")
+    off_m = np.array([row["sag_m"] - 1.1 * np.cos(np.radians(wind_deg)) for row in rows if row["sag_m"]])
+    sd_m = np.array([row["sag_sd_m"] for row in rows if row["sag_m"]])
+    assert len(off_m) >= 10
+    assert np.mean(np.abs(off_m) <= 2 * sd_m) >= 0.9
+    assert np.median(sd_m) < 0.5
+
+
+def test_from_all_sides_wind_is_no_sag(tmp_path: Path) -> None:
+    rows = rows_of(tmp_path, replace(ORBIT, wind_deg=20.0), "conductors")
+    off_m = np.array([row["sag_m"] - 1.1 * np.cos(np.radians(20)) for row in rows if row["sag_m"]])
+    assert len(off_m) >= 3
+    assert np.median(np.abs(off_m)) < 0.15
+    assert np.median([row["sag_sd_m"] for row in rows if row["sag_m"]]) < 0.25

@@ -50,12 +50,16 @@ def merge_levels(found: Sequence[Detections], levels: Sequence[float]) -> Detect
 
 
 def _is_kept(points: Sequence[Floats32], scores: Floats32, level_of: Indices, reach_px: float) -> Mask:
-    """(M,) whether each line is no double of a better one of another level."""
-    polylines = Polylines.of(points)
-    overlaps = find_overlaps(polylines, polylines, reach_px)
+    """(M,) whether each line is no double of a better one of another level; lines are ordered by level."""
     kept = np.zeros(len(points), bool)
+    of_levels = {}
+    for level in np.unique(level_of):
+        own, others = np.flatnonzero(level_of == level), np.flatnonzero(level_of != level)
+        lines, other_lines = (Polylines.of([points[i] for i in part.tolist()]) for part in (own, others))
+        of_levels[level] = own[0], others, find_overlaps(lines, other_lines, reach_px)
     for i in np.argsort(-scores, kind="stable"):
-        kept[i] = overlaps.share_of(i, kept & (level_of != level_of[i])) < DOUBLE_SHARE
+        first, others, overlaps = of_levels[level_of[i]]
+        kept[i] = overlaps.share_of(i - first, kept[others]) < DOUBLE_SHARE
     return kept
 
 

@@ -36,7 +36,10 @@ class Backend(Protocol):
     n_images: int
 
     def run(self, images: Sequence[ImageArray]) -> Iterable[Maps]:
-        """Return the raw maps of each image, in order; later images may run while the first are looked at."""
+        """Return the raw maps of each image, in order; later images may run while the first are looked at.
+
+        A call is to end before the next one of the same thread begins: until then it keeps what it runs on.
+        """
         ...
 
 

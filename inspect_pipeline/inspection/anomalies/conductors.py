@@ -29,9 +29,7 @@ if TYPE_CHECKING:
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
 _MIN_APART, _MIN_APART_SD = 2.0, 4.0  # times aligned_px, or the noise: nearer conductors are not compared
-_MIN_ASIDE = (
-    0.5  # of the distance of two conductors, as which it appears: others are nearly behind each other
-)
+_MIN_ASIDE = 0.5  # of the distance of two conductors, as it appears: else one is nearly behind the other
 _NOISY_USUAL = 1.5  # times min_usual_m: under noise, wires of a bundle appear farther apart than they are
 _MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part in metres
 _MIN_HANGING = 0.5  # of the sag: where a conductor evidently hangs lower than others

@@ -24,9 +24,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
 
 _APART = 1.2  # times what is near a conductor's place: nearer conductors say nothing of each other
-_ALONE = (
-    1.7  # times that: of conductors nearer than this the other must have a line, or the frame says nothing
-)
+_ALONE = 1.7  # times that: of conductors nearer than this, the other must have a line in the frame
 _MISSED_WEIGHT = 0.5  # of a frame in which a conductor was found nowhere: it may have been missed
 _WIDEN_SD = 1.5  # of errors of positions: by so much more or less conductors may be raised
 _MIN_DEPTH_M = 0.5  # of conductors below the camera

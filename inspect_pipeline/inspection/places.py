@@ -9,6 +9,7 @@ import numpy as np
 from inspect_pipeline.geometry.camera import CameraPoses, camera_axes
 from inspect_pipeline.geometry.local_frame import LocalMetres
 from inspect_pipeline.inspection.span_view import make_axis
+from inspect_pipeline.inspection.terrain import Ground
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,7 +23,11 @@ POSE_COLUMNS = ("lat_deg", "lon_deg", "height_m", "cam_yaw_deg", "cam_pitch_deg"
 
 
 def see_place(
-    anomaly: Mapping[str, Any], span: Span | None, frames: Sequence[Mapping[str, Any]], rules: Rules
+    anomaly: Mapping[str, Any],
+    span: Span | None,
+    frames: Sequence[Mapping[str, Any]],
+    rules: Rules,
+    rises: Floats,
 ) -> Floats:
     """Return the pixel of the place in each frame and the metres per pixel there.
 
@@ -33,6 +38,7 @@ def see_place(
         span: its span, None for one without.
         frames: rows of the table frames.
         rules: for the heights that are not known.
+        rises: (S, 3) latitude, longitude and rise of the ground in m, where a terrain model gave it.
 
     Returns:
         (N, 3) x, y and metres per pixel; NaN where the place is not in the image, or this is not known.
@@ -42,11 +48,13 @@ def see_place(
     if span is None or not posed or anomaly["lat_deg"] is None:
         return seen
     origin = LocalMetres(anomaly["lat_deg"], anomaly["lon_deg"])
-    centres = make_axis(span, origin, rules).centres
+    ground = Ground(origin.to_metres(rises[:, 0], rises[:, 1]), rises[:, 2])
+    centres = make_axis(span, origin, rules, ground).centres
     point = centres[np.hypot(*centres[:, :2].T).argmin()]
     columns = np.array([[frames[i][name] for name in POSE_COLUMNS] for i in posed], np.float64)
+    heights_m = columns[:, 2] + [frames[i]["rise_m"] or 0.0 for i in posed]
     poses = CameraPoses(
-        positions=np.column_stack((origin.to_metres(columns[:, 0], columns[:, 1]), columns[:, 2])),
+        positions=np.column_stack((origin.to_metres(columns[:, 0], columns[:, 1]), heights_m)),
         axes=camera_axes(columns[:, 3:6]),
         focal_px=columns[:, 6],
         sizes=np.array([[frames[i]["width"], frames[i]["height"]] for i in posed], np.float64),

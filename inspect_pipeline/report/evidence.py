@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.index.inspected import load_store_rules
+from inspect_pipeline.index.inspected import load_rises, load_store_rules
 from inspect_pipeline.index.reading import open_index
 from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
 from inspect_pipeline.inspection.rules import PRIORITIES
@@ -27,7 +27,7 @@ _CROP_SHARES = (0.14, 0.4)  # and its limits, as shares of the longer side of th
 
 _ANOMALIES = "SELECT * FROM anomalies WHERE flight_id = ? ORDER BY start_ns, anomaly_id"
 _FRAMES = f"""
-SELECT f.channel_id, f.frame_idx, f.log_time_ns, f.width, f.height, {", ".join(POSE_COLUMNS)}
+SELECT f.channel_id, f.frame_idx, f.log_time_ns, f.width, f.height, {", ".join(POSE_COLUMNS)}, f.rise_m
 FROM frames AS f
 WHERE f.flight_id = $flight_id AND f.status <> 'bad'
   AND {{'channel_id': f.channel_id, 'frame_idx': f.frame_idx}} IN (SELECT unnest($keys))
@@ -115,7 +115,7 @@ def find_evidence(index: IndexReader, store: Store, flight_id: str) -> FlightEvi
     frames = {
         (row["channel_id"], row["frame_idx"]): row for row in _of_frames(index, _FRAMES, flight_id, wanted)
     }
-    places = _Places(store)
+    places = _Places(store, flight_id)
     found = {}
     for row in anomalies:
         own = [frames[key] for i in _candidates(row) if (key := (row["channel_id"], i)) in frames]
@@ -154,13 +154,13 @@ def _plain(frame: Row) -> Evidence:
 class _Places:
     """Places of anomalies on spans, seen by the cameras of frames."""
 
-    def __init__(self, store: Store) -> None:
-        self._rules = load_store_rules(store)
+    def __init__(self, store: Store, flight_id: str) -> None:
+        self._rules, self._rises = load_store_rules(store), load_rises(store, flight_id)
         self._spans = {span.span_id: span for span in load_spans(store)}
 
     def choose(self, anomaly: Row, frames: Sequence[Row]) -> Evidence:
         """Return the frame in which the place is nearest to the middle, else the middle frame."""
-        seen = see_place(anomaly, self._spans.get(anomaly["span_id"]), frames, self._rules)
+        seen = see_place(anomaly, self._spans.get(anomaly["span_id"]), frames, self._rules, self._rises)
         if np.isnan(seen).all():
             return _plain(frames[len(frames) // 2])
         sizes = np.array([[row["width"], row["height"]] for row in frames], np.float64)

@@ -131,3 +131,18 @@ def test_lines_out_of_reach_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -
     assert some[0] == pytest.approx(1 / (1 + 99**0.7))  # odds of 1 in 99, to the power of their factor
     monkeypatch.setattr("lsnet.lines.score.features_of", None)
     assert (score.rate(textured(), cells, proposals, min_score=0.99) < 0.99).all()
+
+
+@pytest.mark.parametrize("count", [0, 1, 20, 57])
+def test_logits_are_those_of_the_formula(count: int) -> None:
+    """However many lines there are; in float64, network by network and line by line."""
+    score = a_score()
+    features = np.random.default_rng(count).normal(size=(count, FEATURES)).astype(np.float32)
+    logits = score.logits(features)
+    assert logits.shape == (len(score.mean), count)
+    for m, of_network in enumerate(logits):
+        for own, logit in zip(features.astype(np.float64), of_network, strict=True):
+            x = np.clip((own - score.mean[m, 0]) / score.deviation[m, 0], -4, 4)
+            for k in range(2):
+                x = np.maximum(x @ score.weights[k][m] + score.biases[k][m, 0], 0)
+            assert logit == pytest.approx((x @ score.weights[2][m] + score.biases[2][m, 0]).item(), abs=1e-3)

@@ -165,7 +165,7 @@ def test_memory_does_not_grow_with_the_flight(store: Store) -> None:
     names = {path.name for path in store.flight_dir(flight_id).iterdir()}
     assert names == {
         "result.json",
-        *(f"{name}.parquet" for name in ("frames", "segments", "lines", "tracks")),
+        *(f"{name}.parquet" for name in ("frames", "segments", "lines", "tracks", "signals")),
     }
 
 

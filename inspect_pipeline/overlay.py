@@ -15,10 +15,9 @@ import numpy as np
 
 from inspect_pipeline.errors import QueryError, RecordingError
 from inspect_pipeline.images.draw import add_strip, draw_lines, draw_place, draw_scores, track_colours
-from inspect_pipeline.index.inspected import load_rises, load_store_rules
+from inspect_pipeline.index.cameras import load_places
 from inspect_pipeline.index.reading import select
-from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
-from inspect_pipeline.inspection.spans import load_spans
+from inspect_pipeline.inspection.places import PLACE_COLUMNS
 from inspect_pipeline.store.images import iter_images, open_images
 
 if TYPE_CHECKING:
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
     Row = dict[str, Any]
 
 _FRAMES = f"""
-SELECT f.channel_id, c.topic, f.frame_idx, f.log_time_ns, f.width, f.height, f.n_lines, f.n_segments,
-       {", ".join(f"f.{name}" for name in POSE_COLUMNS)}, f.rise_m
+SELECT f.channel_id, c.topic, f.frame_idx, f.log_time_ns, f.n_lines, f.n_segments,
+       {", ".join(f"f.{name}" for name in PLACE_COLUMNS)}
 FROM frames AS f
 JOIN channels AS c USING (flight_id, channel_id)
 WHERE f.flight_id = $flight_id AND f.status <> 'bad'
@@ -119,8 +118,7 @@ class _Anomalies:
 
     def __init__(self, store: Store, flight_id: str) -> None:
         self._rows = select(store, _ANOMALIES, [flight_id])
-        self._rules, self._rises = load_store_rules(store), load_rises(store, flight_id)
-        self._spans = {span.span_id: span for span in load_spans(store)}
+        self._see = load_places(store, flight_id)
 
     def of(self, frame: Row) -> list[tuple[str, float, float, float]]:
         """Return kind, x, y and metres per pixel of the anomalies that a frame shows; NaN without a place."""
@@ -130,10 +128,7 @@ class _Anomalies:
             if row["channel_id"] == frame["channel_id"]
             and row["first_frame_idx"] <= frame["frame_idx"] <= row["last_frame_idx"]
         ]
-        places = [
-            see_place(row, self._spans.get(row["span_id"]), [frame], self._rules, self._rises)[0]
-            for row in own
-        ]
+        places = [self._see(row, [frame])[0] for row in own]
         return [(row["kind"], *place.tolist()) for row, place in zip(own, places, strict=True)]
 
 

@@ -6,11 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from inspect_pipeline.index.inspected import load_store_rules
+from inspect_pipeline.index.reading import select
+from inspect_pipeline.inspection.places import see_place
 from inspect_pipeline.inspection.rows import CameraRows, FrameRows, LineRows
+from inspect_pipeline.inspection.spans import load_spans
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     import duckdb
     from numpy.typing import NDArray
+
+    from inspect_pipeline.arrays import Floats
+    from inspect_pipeline.store.store import Store
+
+    Row = Mapping[str, Any]
 
 _FRAMES = """
 SELECT channel_id, frame_idx, log_time_ns, stamp_ns,
@@ -38,6 +49,23 @@ FROM (
 )
 ORDER BY channel_id, frame_idx, line_idx, number
 """
+
+
+_RISES = """
+SELECT lat_deg, lon_deg, rise_m FROM frames
+WHERE flight_id = ? AND rise_m IS NOT NULL
+ORDER BY channel_id, frame_idx
+"""
+_MAX_RISES = 1000
+
+
+def load_places(store: Store, flight_id: str) -> Callable[[Row, Sequence[Row]], Floats]:
+    """Return what finds the place of an anomaly of a flight in frames, see `see_place`; raises StoreError."""
+    rules, spans = load_store_rules(store), {span.span_id: span for span in load_spans(store)}
+    rows = select(store, _RISES, [flight_id])
+    rises = np.array([[row["lat_deg"], row["lon_deg"], row["rise_m"]] for row in rows]).reshape(-1, 3)
+    rises = rises[:: max(1, len(rises) // _MAX_RISES)]
+    return lambda anomaly, frames: see_place(anomaly, spans.get(anomaly["span_id"]), frames, rules, rises)
 
 
 def load_cameras(connection: duckdb.DuckDBPyConnection, flight_id: str) -> list[CameraRows]:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.spans import Span
 
-POSE_COLUMNS = ("lat_deg", "lon_deg", "height_m", "cam_yaw_deg", "cam_pitch_deg", "cam_roll_deg", "focal_px")
+_POSE = ("lat_deg", "lon_deg", "height_m", "cam_yaw_deg", "cam_pitch_deg", "cam_roll_deg", "focal_px")
+PLACE_COLUMNS = (*_POSE, "rise_m", "width", "height")  # of frames
 
 
 def see_place(
@@ -36,7 +37,7 @@ def see_place(
     Args:
         anomaly: a row of the table anomalies.
         span: its span, None for one without.
-        frames: rows of the table frames.
+        frames: rows of the table frames, with PLACE_COLUMNS.
         rules: for the heights that are not known.
         rises: (S, 3) latitude, longitude and rise of the ground in m, where a terrain model gave it.
 
@@ -44,14 +45,14 @@ def see_place(
         (N, 3) x, y and metres per pixel; NaN where the place is not in the image, or this is not known.
     """
     seen = np.full((len(frames), 3), np.nan)
-    posed = [i for i, row in enumerate(frames) if all(row[name] is not None for name in POSE_COLUMNS)]
+    posed = [i for i, row in enumerate(frames) if all(row[name] is not None for name in _POSE)]
     if span is None or not posed or anomaly["lat_deg"] is None:
         return seen
     origin = LocalMetres(anomaly["lat_deg"], anomaly["lon_deg"])
     ground = Ground(origin.to_metres(rises[:, 0], rises[:, 1]), rises[:, 2])
     centres = make_axis(span, origin, rules, ground).centres
     point = centres[np.hypot(*centres[:, :2].T).argmin()]
-    columns = np.array([[frames[i][name] for name in POSE_COLUMNS] for i in posed], np.float64)
+    columns = np.array([[frames[i][name] for name in _POSE] for i in posed], np.float64)
     heights_m = columns[:, 2] + [frames[i]["rise_m"] or 0.0 for i in posed]
     poses = CameraPoses(
         positions=np.column_stack((origin.to_metres(columns[:, 0], columns[:, 1]), heights_m)),

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inspect_pipeline.index.inspected import load_rises, load_store_rules
+from inspect_pipeline.index.cameras import load_places
 from inspect_pipeline.index.reading import open_index
-from inspect_pipeline.inspection.places import POSE_COLUMNS, see_place
+from inspect_pipeline.inspection.places import PLACE_COLUMNS
 from inspect_pipeline.inspection.rules import PRIORITIES
-from inspect_pipeline.inspection.spans import load_spans
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +26,7 @@ _CROP_SHARES = (0.14, 0.4)  # and its limits, as shares of the longer side of th
 
 _ANOMALIES = "SELECT * FROM anomalies WHERE flight_id = ? ORDER BY start_ns, anomaly_id"
 _FRAMES = f"""
-SELECT f.channel_id, f.frame_idx, f.log_time_ns, f.width, f.height, {", ".join(POSE_COLUMNS)}, f.rise_m
+SELECT f.channel_id, f.frame_idx, f.log_time_ns, {", ".join(PLACE_COLUMNS)}
 FROM frames AS f
 WHERE f.flight_id = $flight_id AND f.status <> 'bad'
   AND {{'channel_id': f.channel_id, 'frame_idx': f.frame_idx}} IN (SELECT unnest($keys))
@@ -155,12 +154,11 @@ class _Places:
     """Places of anomalies on spans, seen by the cameras of frames."""
 
     def __init__(self, store: Store, flight_id: str) -> None:
-        self._rules, self._rises = load_store_rules(store), load_rises(store, flight_id)
-        self._spans = {span.span_id: span for span in load_spans(store)}
+        self._see = load_places(store, flight_id)
 
     def choose(self, anomaly: Row, frames: Sequence[Row]) -> Evidence:
         """Return the frame in which the place is nearest to the middle, else the middle frame."""
-        seen = see_place(anomaly, self._spans.get(anomaly["span_id"]), frames, self._rules, self._rises)
+        seen = self._see(anomaly, frames)
         if np.isnan(seen).all():
             return _plain(frames[len(frames) // 2])
         sizes = np.array([[row["width"], row["height"]] for row in frames], np.float64)

@@ -6,6 +6,7 @@ hang as high as conductors usually do. So a drone may turn, or circle a pole, ho
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,22 +56,19 @@ def find_orientation_jumps(camera: CameraRows, quality: FrameQuality, rules: Rul
 
 def _appear_next(cameras: CameraPoses, before: int, after: int, chords: Floats, height_m: float) -> Floats:
     """Return where chords (M, 2, 2) of one frame should appear in another, unchanged if poses are unknown."""
+    pair = cameras[np.array([before, after])]
+    if not np.isfinite(pair.positions).all():
+        pair, height_m = replace(pair, positions=np.zeros((2, 3))), np.inf  # only the turn is known
     pixels = chords.reshape(-1, 2)
-    rays = cameras.rays(np.full(len(pixels), before), pixels)
-    start, end = np.nan_to_num(cameras.positions[[before, after]])
-    is_placed = np.isfinite(cameras.positions[[before, after]]).all()
+    rays = pair.rays(np.zeros(len(pixels), int), pixels)
     with np.errstate(divide="ignore", invalid="ignore"):
-        reach = (height_m - start[2]) / rays[:, 2] if is_placed else np.full(len(rays), np.inf)
-    reach[~((reach > 0) & (reach < _FAR_M))] = _FAR_M
-    away = start - end + reach[:, np.newaxis] * rays
-    seen = away @ cameras.axes[after].T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        there = seen[:, :2] / seen[:, 2:] * cameras.focal_px[after] + cameras.sizes[after] / 2
-    moved = there.reshape(chords.shape)
-    is_seen = (seen[:, 2] > _MIN_DEPTH_M) & np.isfinite(there).all(axis=1)
-    if not np.isfinite(seen).all():
+        reach_m = (height_m - pair.positions[0, 2]) / rays[:, 2]
+    reach_m[~((reach_m > 0) & (reach_m < _FAR_M))] = _FAR_M
+    (moved,), (depths_m,) = pair[1:].project(pair.positions[0] + reach_m[:, np.newaxis] * rays)
+    if not np.isfinite(moved).all():
         return chords
-    return np.asarray(moved[is_seen.reshape(-1, 2).all(axis=1)])
+    is_seen = depths_m > _MIN_DEPTH_M
+    return np.asarray(moved.reshape(chords.shape)[is_seen.reshape(-1, 2).all(axis=1)])
 
 
 def _normal_form(chords: Floats, size: Floats) -> tuple[Floats, Floats]:

@@ -59,17 +59,15 @@ class WDDCNN(nn.Sequential):
                 layers.append(nn.GroupNorm(max(1, config.channels // GROUP_SIZE), config.channels))
             layers.append(nn.ReLU(inplace=True))
             c_in = config.channels
-        super().__init__(*layers, nn.Conv2d(c_in, 2, 1))
+        classifier = nn.Conv2d(c_in, 2, 1)
+        super().__init__(*layers, classifier)
         for layer in self:
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-        final = self[-1]
-        assert isinstance(final, nn.Conv2d) and final.bias is not None  # noqa: S101, PT018
         # As LS-Net starts. With large weights here, networks with GroupNorm learned nothing for 200 batches.
-        nn.init.normal_(final.weight, std=0.01)
+        nn.init.normal_(classifier.weight, std=0.01)
         prior = 1.0 if config.focal else 0.0  # the balanced loss is least at even odds
-        with torch.no_grad():
-            final.bias.copy_(torch.tensor([prior, -prior]))
+        classifier.bias = nn.Parameter(torch.tensor([prior, -prior]))
 
     def forward(self, images: Tensor) -> Tensor:
         """Run a batch."""

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+from contextlib import contextmanager
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from inspect_pipeline.commands.options import BackgroundOption, JsonOption, RunOption, RuntimeOption
 from inspect_pipeline.commands.progress import progress_bar
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from lsnet.evaluation.compare.ablation import AblationRow
+    from lsnet.evaluation.compare.compare import Row
+    from lsnet.evaluation.compare.trainings import Comparison, Trainings
 
 
 class CompareWhat(StrEnum):
@@ -106,19 +114,13 @@ def compare(
       lsnet-pipe model compare photos/with_masks --run runs/compare --background photos:500
       lsnet-pipe model compare photos/with_masks --run runs/rivals --what rivals --seeds 3 --device cuda
     """
-    from lsnet.errors import LSNetError
     from lsnet.evaluation.compare.compare import NETWORKS, compare_networks
     from lsnet.evaluation.compare.rivals import compare_rivals, count_rivals
     from lsnet.evaluation.compare.table import method_tables, network_table, write_chart
-    from lsnet.evaluation.compare.trainings import Comparison, Trainings
+    from lsnet.evaluation.compare.trainings import Comparison
 
     of_rivals = what == CompareWhat.RIVALS
-    if of_rivals and chart:
-        raise LSNetError("the chart is of the sizes of networks; leave out --chart or --what rivals")
-    if method and not of_rivals:
-        raise LSNetError(
-            "networks of several sizes have no methods; leave out --method, or add --what rivals"
-        )
+    _refuse_unused(chart, method, of_rivals=of_rivals)
     comparison = Comparison(
         run,
         tuple(background or ()),
@@ -131,18 +133,42 @@ def compare(
         threads=threads,
         as_paper=of_rivals,
     )
-    count = count_rivals(seeds, method or ()) if of_rivals else len(NETWORKS)
-    with progress_bar("compare", count * steps) as advance:
-        trainings = Trainings(comparison, workers=workers, report=advance)
-        if of_rivals:
+    if of_rivals:
+        count = count_rivals(seeds, method or ())
+        with _open_trainings("compare", comparison, count, workers) as trainings:
             methods = compare_rivals(trainings, thinner, seeds, method or ())
-            lines = [json.dumps(asdict(row)) for row in methods] if as_json else method_tables(methods)
-        else:
-            networks = compare_networks(trainings, NETWORKS)
-            lines = [json.dumps(asdict(row)) for row in networks] if as_json else network_table(networks)
+        _print_rows(methods, method_tables(methods), as_json=as_json)
+        return
+    with _open_trainings("compare", comparison, len(NETWORKS), workers) as trainings:
+        networks = compare_networks(trainings, NETWORKS)
     if chart:
         write_chart(networks, chart)
-    for line in lines:
+    _print_rows(networks, network_table(networks), as_json=as_json)
+
+
+def _refuse_unused(chart: Path | None, method: list[str] | None, *, of_rivals: bool) -> None:
+    """Raise LSNetError for an option of the other comparison."""
+    from lsnet.errors import LSNetError
+
+    if of_rivals and chart:
+        raise LSNetError("the chart is of the sizes of networks; leave out --chart or --what rivals")
+    if method and not of_rivals:
+        raise LSNetError(
+            "networks of several sizes have no methods; leave out --method, or add --what rivals"
+        )
+
+
+@contextmanager
+def _open_trainings(name: str, comparison: Comparison, n_networks: int, workers: int) -> Iterator[Trainings]:
+    """Draw the images of a comparison, with a progress bar over the batches of its networks."""
+    from lsnet.evaluation.compare.trainings import Trainings
+
+    with progress_bar(name, n_networks * comparison.steps) as advance:
+        yield Trainings(comparison, workers=workers, report=advance)
+
+
+def _print_rows(rows: Sequence[AblationRow] | Sequence[Row], table: Sequence[str], *, as_json: bool) -> None:
+    for line in [json.dumps(asdict(row)) for row in rows] if as_json else table:
         typer.echo(line)
 
 
@@ -184,7 +210,7 @@ def ablate(
     from lsnet.errors import LSNetError
     from lsnet.evaluation.compare import ablation
     from lsnet.evaluation.compare.table import method_tables
-    from lsnet.evaluation.compare.trainings import Comparison, Trainings
+    from lsnet.evaluation.compare.trainings import Comparison
     from lsnet.evaluation.report import open_grids
 
     if (run is None) == (weights is None):
@@ -209,8 +235,7 @@ def ablate(
             as_paper=True,
         )
         only, network = method or (), ablation.thin_paper(thinner)
-        with progress_bar("ablate", ablation.count_trainings(seeds, names, only) * steps) as advance:
-            trainings = Trainings(comparison, workers=workers, report=advance)
+        count = ablation.count_trainings(seeds, names, only)
+        with _open_trainings("ablate", comparison, count, workers) as trainings:
             rows = ablation.ablate(trainings, network, seeds, names, only)
-    for line in [json.dumps(asdict(row)) for row in rows] if as_json else method_tables(rows):
-        typer.echo(line)
+    _print_rows(rows, method_tables(rows), as_json=as_json)

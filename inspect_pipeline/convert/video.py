@@ -62,14 +62,7 @@ def pack_video(
                 for block in blocks:
                     _write_block(author, start_ns, block, (stream.height, stream.width))
                 pictures = _encode_again(container) if has_b_frames else _copy_packets(container)
-                n_images, last_ns = 0, -1
-                for pts_ns, data, codec in pictures:
-                    if pts_ns <= last_ns:
-                        raise RecordingError(
-                            video, "its pictures are out of order", "convert it with ffmpeg -bf 0"
-                        )
-                    author.write_video(_VIDEO_TOPIC, start_ns + pts_ns, CAMERA_FRAME, data, codec)
-                    n_images, last_ns = n_images + 1, pts_ns
+                n_images = _write_pictures(author, video, start_ns, pictures)
     except av.FFmpegError as error:
         raise RecordingError(video, "it is not a video that can be read", "name an MP4 file") from error
     counts = {
@@ -78,6 +71,19 @@ def pack_video(
         "attitudes": sum(block.gimbal is not None for block in blocks),
     }
     return PackResult(counts, tuple(warnings))
+
+
+def _write_pictures(
+    author: RecordingAuthor, video: Path, start_ns: int, pictures: Iterator[tuple[int, bytes, str]]
+) -> int:
+    """Write pictures, whose times are since the start, and return their number."""
+    n_images, last_ns = 0, -1
+    for since_start_ns, data, codec in pictures:
+        if since_start_ns <= last_ns:
+            raise RecordingError(video, "its pictures are out of order", "convert it with ffmpeg -bf 0")
+        author.write_video(_VIDEO_TOPIC, start_ns + since_start_ns, CAMERA_FRAME, data, codec)
+        n_images, last_ns = n_images + 1, since_start_ns
+    return n_images
 
 
 def _write_block(

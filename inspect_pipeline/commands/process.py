@@ -41,8 +41,9 @@ from inspect_pipeline.errors import count_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from inspect_pipeline.config import ProcessOptions
     from inspect_pipeline.detection import StageTimes
-    from inspect_pipeline.store.records import ProcessResult
+    from inspect_pipeline.store.records import ProcessResult, RunRecord
     from inspect_pipeline.store.store import Store
 
 _VIEWER_NOTE = "lsnet-pipe view last shows it in Lichtblick or Foxglove, with the lines switched on"
@@ -124,31 +125,13 @@ def process(
     if not existing:
         raise typer.Exit(exit_code)
 
-    from inspect_pipeline import pipeline
-    from inspect_pipeline.detection import StageTimes
     from inspect_pipeline.publishing import publish
 
     detector = LateDetector(weights, runtime, scale, min_score, device)
     run = start_described_run(detector.describe(), options, "process", {})
-
-    def process_one(path: Path) -> ProcessResult:
-        times = StageTimes()
-        with progress_bar(path.name, None) as advance:
-            result = pipeline.process(
-                path,
-                the_store,
-                detector.load,
-                options,
-                run,
-                on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
-                on_wait=lambda: note(f"{path}: another process works on this flight; waiting for its end"),
-                times=times,
-            )
-        if profile and result.status != "skipped":
-            _print_profile(times, result.n_frames)
-        return result
-
-    results, n_failed, failure = _process_all(existing, process_one)
+    results, n_failed, failure = _process_all(
+        existing, lambda path: _process_one(path, the_store, detector, options, run, profile=profile)
+    )
     exit_code, n_failed = failure or exit_code, n_failed + len(files) - len(existing)
     if any(result.status != "skipped" for result in results):
         save_run(
@@ -179,6 +162,36 @@ def existing_files(files: Sequence[Path]) -> tuple[list[Path], int]:
         else:
             existing.append(path)
     return existing, exit_code
+
+
+def _process_one(
+    path: Path,
+    store: Store,
+    detector: LateDetector,
+    options: ProcessOptions,
+    run: RunRecord,
+    *,
+    profile: bool,
+) -> ProcessResult:
+    """Process a recording with a progress bar, and print the times of its stages if asked for."""
+    from inspect_pipeline import pipeline
+    from inspect_pipeline.detection import StageTimes
+
+    times = StageTimes()
+    with progress_bar(path.name, None) as advance:
+        result = pipeline.process(
+            path,
+            store,
+            detector.load,
+            options,
+            run,
+            on_progress=lambda state: advance(completed=state.n_frames, total=state.n_expected),
+            on_wait=lambda: note(f"{path}: another process works on this flight; waiting for its end"),
+            times=times,
+        )
+    if profile and result.status != "skipped":
+        _print_profile(times, result.n_frames)
+    return result
 
 
 def _process_all(

@@ -8,15 +8,9 @@ import pytest
 import torch
 from nets import TINY
 
-from lsnet import network_config
 from lsnet.errors import LSNetError
 from lsnet.training.devices import choose_device
 from lsnet.training.tasks import open_task
-
-
-@pytest.fixture(autouse=True)
-def _tiny_preset(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(network_config.PRESETS, "tiny", TINY)
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
 from collections import Counter
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import factories
+import memory
 import numpy as np
 import pytest
 from factories import CAMERA, START_NS, STEP_NS, make_recording, shots
@@ -21,9 +23,6 @@ from inspect_pipeline.recording.append import annotated_copy, sidecar
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 from lsnet.segments import Detections, Lines, Segments
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.slow
 
@@ -180,13 +179,14 @@ def test_what_typescript_writes_is_read_and_annotated(
 
 
 MEASURE = """
-import resource, sys
+import sys
 from pathlib import Path
+from memory import peak_kib
 from inspect_pipeline.recording.append import annotated_copy
 from inspect_pipeline.recording.frames import iter_frames
 from inspect_pipeline.recording.reader import open_recording
 
-imported_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+imported_kib = peak_kib()
 source, target = Path(sys.argv[1]), Path(sys.argv[2])
 recording = open_recording(source)
 n_frames = 0
@@ -197,7 +197,7 @@ with annotated_copy(recording, target) as out:
     for frame in iter_frames(recording):
         out.write(channel_id, frame.log_time_ns, frame.publish_time_ns, b"{}" * 500)
         n_frames += 1
-print(n_frames, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - imported_kib) // 1024)
+print(n_frames, (peak_kib() - imported_kib) // 1024)
 """
 
 
@@ -226,6 +226,7 @@ def test_memory_is_bounded_on_a_large_recording(tmp_path: Path, options: dict) -
         check=True,
         capture_output=True,
         timeout=250,
+        env=os.environ | {"PYTHONPATH": str(Path(memory.__file__).parent)},
     )
     n_frames, memory_mb = map(int, run.stdout.split())
     assert n_frames == count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pkgutil
 import re
 import shlex
 import shutil
@@ -131,6 +132,16 @@ def test_links_lead_somewhere() -> None:
         for target in re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8")):
             if not target.startswith("https://"):
                 assert (path.parent / target).exists(), f"{path.name}: {target}"
+
+
+def test_the_modules_and_tests_of_the_paper_exist() -> None:
+    """Those of the first table, without the package `lsnet` where it is left out."""
+    table = (ROOT / "docs/paper.md").read_text(encoding="utf-8").split("## Choices")[0]
+    for name in re.findall(r"`([\w./]+)`", table):
+        if name.endswith(".py"):
+            assert (ROOT / "tests/lsnet" / name).exists(), name
+        elif "." in name:
+            assert pkgutil.resolve_name(f"lsnet.{name.removeprefix('lsnet.')}"), name
 
 
 def test_the_formats_are_those_that_are_written(run: Callable[..., str], small_flight: Path) -> None:

@@ -212,13 +212,15 @@ FROM anomalies AS a
 LEFT JOIN reviews AS r USING (anomaly_id);
 
 -- What flights say of spans, to be compared between them: numbers of conductors and of anomalies where the rule
--- judged at least half of the span, and the sag of each conductor.
+-- judged at least half of the span, and the sag of each conductor. A number of conductors is known only where each of
+-- them was judged.
 CREATE OR REPLACE VIEW span_states AS
 WITH counted AS (
     SELECT flight_id,
            span_id,
            count(DISTINCT conductor)                                                     AS n_conductors,
-           count(DISTINCT conductor) FILTER (present_m >= judged_m / 2)                  AS n_present
+           count(DISTINCT conductor) FILTER (present_m >= judged_m / 2)                  AS n_present,
+           bool_and(judged_m > 0)                                                        AS is_known
     FROM conductors
     GROUP BY flight_id, span_id
 ),
@@ -241,7 +243,7 @@ states AS (
            NULL::DOUBLE AS sd
     FROM judged AS j
     JOIN counted USING (flight_id, span_id)
-    WHERE j.kind = 'conductor_count'
+    WHERE j.kind = 'conductor_count' AND is_known
     UNION ALL
     SELECT flight_id, span_id, 'sag_m', conductor, avg(sag_m), max(sag_sd_m)
     FROM conductors

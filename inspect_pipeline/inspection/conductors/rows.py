@@ -44,14 +44,15 @@ class ConductorRow:
 def conductor_rows(
     channel_id: int, one: SpanEvidence, fits: Sequence[ConductorFit | None]
 ) -> Iterator[ConductorRow]:
-    """Yield the rows of the conductors of a span that were judged anywhere; fits (K,) are theirs."""
-    if one.votes is None:
+    """Yield the rows of all conductors of a span where any was judged; fits (K,) are theirs.
+
+    One that was judged nowhere has a row too: that it is unknown there is not that it is missing.
+    """
+    if one.votes is None or not one.is_judged.any():
         return
     is_present, is_judged = one.is_present, one.is_judged
     lines = [_points(one, fit.place) if fit else None for fit in fits]
     for k, (common, fit) in enumerate(zip(one.places, fits, strict=True)):
-        if not is_judged[k].any():
-            continue
         place = fit.place if fit else common
         sd = fit.sd if fit else (None, None, None)
         raised_sd_m = float(np.hypot(sd[1], _COMMON_SD_M)) if sd[1] is not None else None

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import duckdb
 import flights
+import pytest
 from stores import ask
 
 from inspect_pipeline.index import publish as index
@@ -55,3 +57,23 @@ def test_a_span_that_no_flight_has_seen(store: Store) -> None:
         ("S2", "L12", 111.2),
     ]
     assert find_query("unseen").parameters == ()
+
+
+@pytest.mark.parametrize(("judged_m", "known"), [(80, [(2.0,)]), (0, [])])
+def test_a_number_with_an_unknown_conductor_is_not_compared(
+    store: Store, judged_m: float, known: list[tuple[float]]
+) -> None:
+    """Three conductors, one of them absent, of which the last is present or judged nowhere."""
+    with duckdb.connect(store.index_path) as connection:
+        connection.execute(
+            "INSERT INTO span_judgements BY NAME SELECT flight_id, 'S1' AS span_id,"
+            " 'conductor_count' AS kind, 'judged' AS outcome, 100 AS length_m FROM flights LIMIT 1"
+        )
+        for conductor, (judged, present) in enumerate(((90, 90), (90, 0), (judged_m, judged_m)), start=1):
+            connection.execute(
+                "INSERT INTO conductors BY NAME SELECT flight_id, 1 AS channel_id, 'S1' AS span_id,"
+                " ? AS conductor, 9 AS n_frames, ? AS judged_m, ? AS present_m, 0 AS across_m, 0 AS raised_m"
+                " FROM flights LIMIT 1",
+                (conductor, judged, present),
+            )
+    assert ask(store, "SELECT value FROM span_states WHERE subject = 'conductors'") == known

@@ -183,6 +183,19 @@ def test_a_conductor_that_no_span_shows_may_be_hidden() -> None:
     assert "judged" in {one.outcome for one in everything.judgements if one.kind == "conductor_count"}
 
 
+def test_conductors_that_are_judged_nowhere_are_listed() -> None:
+    """A fourth line 4 px beside another in all frames: it cannot be told whether both are there all along."""
+    camera = three_lines(40, np.ones((40, 3), bool))
+    lines, points = camera.lines, camera.lines.points.reshape(-1, 2, 2)
+    frame, track = np.append(lines.frame, np.arange(40)), np.append(lines.track, np.full(40, 9))
+    order = np.argsort(frame, kind="stable")
+    points = np.concatenate((points, points[2::3] + np.array([4, 0])))[order].reshape(-1, 2)
+    camera = replace(camera, lines=LineRows(frame[order], track[order], 2 * np.arange(161), points))
+    rows = inspect_cameras([camera], [span(expected=4)], RULES).conductors
+    assert [row.judged_m > 0 for row in rows] == [False, False, True, True]
+    assert [row.across_m for row in rows] == pytest.approx([-4.08, -4, 0, 4], abs=0.05)
+
+
 def test_a_line_that_ends_in_the_picture_is_a_lost_conductor() -> None:
     camera = three_lines(40, np.ones((40, 3), bool))
     points = camera.lines.points.copy().reshape(-1, 2, 2)

@@ -140,6 +140,10 @@ def simulate(
         ground=ground,
         render=render,
     )
+    if terrain:
+        from inspect_pipeline.simulation.terrain_file import check_terrain, write_terrain
+
+        check_terrain(terrain, options)
     truth = simulate_flight(target, options)
     print_line(str(target))
     print_line(str(truth))
@@ -149,7 +153,5 @@ def simulate(
         write_spans(spans, truth)
         print_line(str(spans))
     if terrain:
-        from inspect_pipeline.simulation.terrain_file import write_terrain
-
         write_terrain(terrain, options)
         print_line(str(terrain))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Floats32
 
 
-_MAX_CELLS = 1 << 26
+MAX_CELLS = 1 << 26  # of a terrain model that is read
 _MAX_RANGE_M, _STEP_M = 1000.0, 2.0  # how far rays are followed over terrain, and in which steps
 
 
@@ -107,7 +107,7 @@ def load_elevation(path: Path) -> Elevation:
         with rasterio.open(path) as model:
             if model.crs is None:
                 raise TerrainError(path, "does not say where it lies", "give one with coordinates")
-            if model.width * model.height > _MAX_CELLS:
+            if model.width * model.height > MAX_CELLS:
                 size = f"has {model.width} x {model.height} cells, which are too many"
                 raise TerrainError(path, size, "cut out the area of the flights with gdalwarp")
             heights_m = model.read(1, masked=True).astype(np.float32).filled(np.nan)

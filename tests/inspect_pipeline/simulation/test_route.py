@@ -11,7 +11,10 @@ import pyproj
 import pytest
 import rasterio
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
+import cli
+from inspect_pipeline.errors import OutputError
 from inspect_pipeline.simulation.ground import TEXEL_M
 from inspect_pipeline.simulation.hills import draw_hills
 from inspect_pipeline.simulation.options import LINE_FAULTS, FaultKind, FlightKind, SimulationOptions
@@ -83,6 +86,16 @@ def test_the_drone_keeps_its_height_above_hills(flight: FlightKind, tmp_path: Pa
     assert rises_m == pytest.approx([frame.ground_m for frame in truth.frames], abs=0.4)
     if flight != FlightKind.ORBIT:  # which keeps its height above the structure
         assert above_m == pytest.approx(23, abs=1)
+
+
+def test_the_terrain_of_a_line_that_is_too_long_is_refused_before_the_flight(tmp_path: Path) -> None:
+    target, terrain = tmp_path / "long.mcap", tmp_path / "long.asc"
+    result = CliRunner().invoke(
+        cli.app, ["simulate", str(target), "--structures", "1000", "--terrain", str(terrain)]
+    )
+    assert isinstance(result.exception, OutputError)
+    assert str(result.exception).startswith(f"{terrain}: the line is so long")
+    assert list(tmp_path.iterdir()) == []
 
 
 def camera_points(frame: FrameTruth, points: np.ndarray) -> np.ndarray:

@@ -35,6 +35,7 @@ COVERAGES = ("frame", "detection", "span", "corridor")
 _MIN_IOU = 0.5
 _NOMINAL_M = 11.7  # height of conductors in the spans file
 _PATH_STEP_M = 0.05
+_MAX_GSD_M = 0.05  # coarser pixels show nothing, by the shipped rules
 
 
 def match(truth: FlightTruth, anomalies: list[dict[str, Any]]) -> tuple[int, Counter[str]]:
@@ -57,7 +58,7 @@ def _overlap(found: dict[str, Any], start_ns: int, end_ns: int) -> float:
 
 
 def true_coverage(plan: FlightPlan, truth: FlightTruth) -> dict[tuple[str, str | None], float]:
-    """What the four kinds of coverage are by the truth, in shares."""
+    """What the four kinds of coverage are by the truth, in shares, where pixels are fine enough to count."""
     recorded = [frame for frame in truth.frames if not frame.dropped]
     good = [frame for frame in recorded if frame.quality == "ok"]
     seen = [frame for frame in good if any(line.span_id for line in frame.lines)]
@@ -66,7 +67,20 @@ def true_coverage(plan: FlightPlan, truth: FlightTruth) -> dict[tuple[str, str |
         ("detection", None): len(seen) / len(truth.frames),
         ("corridor", None): _true_corridor(plan, truth),
     }
-    return shares | {("span", span_id): share for span_id, share in truth.span_coverage.items()}
+    return shares | _true_spans(plan, truth)
+
+
+def _true_spans(plan: FlightPlan, truth: FlightTruth) -> dict[tuple[str, str | None], float]:
+    """The share of the axis of each span that good frames show."""
+    is_seen = np.zeros(len(plan.axis), bool)
+    for shot, frame in zip(plan.shots(), truth.frames, strict=True):
+        if frame.quality == "ok" and not frame.dropped:
+            camera = plan.camera(shot.time_ns)
+            seen = plan.axis_seen(camera)
+            range_m = np.linalg.norm(plan.axis[seen] - camera.position, axis=1)
+            is_seen[seen[range_m <= _MAX_GSD_M * camera.focal_px]] = True
+    shares = plan.shares_of_spans(is_seen).tolist()
+    return {("span", plan.span_id(i)): share for i, share in enumerate(shares)}
 
 
 def _true_corridor(plan: FlightPlan, truth: FlightTruth) -> float:
@@ -85,7 +99,7 @@ def _true_corridor(plan: FlightPlan, truth: FlightTruth) -> float:
         if is_good:
             camera = plan.camera(shot.time_ns)
             range_m = np.linalg.norm(places - camera.position, axis=1)
-            is_seen |= camera.sees(*camera.project(places)) & (range_m <= 0.05 * camera.focal_px)
+            is_seen |= camera.sees(*camera.project(places)) & (range_m <= _MAX_GSD_M * camera.focal_px)
     return float(is_seen.mean())
 
 

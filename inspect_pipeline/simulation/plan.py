@@ -62,6 +62,11 @@ class FlightPlan:
     planted: tuple[PlantedFault, ...]
     timed: tuple[TimedFault, ...]
 
+    @property
+    def takeoff_m(self) -> float:
+        """The height of the ground below the first position, from which recorded heights count."""
+        return float(self.line.route.ground_m(self.pose(0).position[0]))
+
     def shots(self) -> Iterator[Shot]:
         """Yield all shots in order."""
         for i in range(max(1, round(self.options.seconds * self.options.fps))):

@@ -73,7 +73,7 @@ class FrameTruth:
 
     The pose is the last one recorded: its position is old during a gap, and its angles do not contain the
     slip of a camera in its mount. pose_age_ms: of the position, None before the first. alt_m: ellipsoidal.
-    height_m: above the ground at the start of the line; ground_m: of the ground below, above that.
+    height_m: above take-off, the ground below the first position; ground_m: of the ground below, above that.
     heading_deg: of the vehicle. Camera angles: yaw clockwise from north, pitch
     positive upwards, roll positive to the right. image_size: (height, width). lines, views: what the picture
     truly shows.

@@ -216,8 +216,8 @@ def _write_location(author: Author, topic: str, plan: FlightPlan, time_ns: int) 
 
 def _write_attitudes(author: Author, topics: _Topics, plan: FlightPlan, time_ns: int) -> None:
     pose = plan.recorded_pose(time_ns)
-    x, y, above_m = pose.position
-    place_m = (*to_east_north(plan, x, y), above_m)
+    x, y, z = pose.position
+    place_m = (*to_east_north(plan, x, y), z - plan.takeoff_m)
     for topic, child, yaw_rad, down_rad, roll_rad in (
         (topics.vehicle, "base_link", pose.heading_rad, 0.0, 0.0),
         (topics.camera, "camera_link", pose.yaw_rad, pose.pitch_rad, pose.roll_rad),

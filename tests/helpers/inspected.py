@@ -134,7 +134,7 @@ def _sight(frame: FrameTruth, plan: FlightPlan) -> dict[str, float]:
     left, up = np.radians((plan.azimuth_deg - frame.cam_yaw_deg, frame.cam_pitch_deg))
     away_m = np.arange(0.0, 100.0, 0.1)
     steps = np.outer(away_m, (np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)))
-    points = steps + np.array((float(x), float(y), frame.height_m))
+    points = steps + np.array((float(x), float(y), frame.height_m + plan.takeoff_m))
     is_below = points[:, 2] <= plan.line.route.ground_m(points[:, 0])
     if not is_below.any():
         return {}

@@ -33,7 +33,7 @@ class WeightsCard:
         preset: The preset they were trained from.
         network: The network they fit.
         min_score: Score threshold they were chosen with, from 0 to 1.
-        scale: Default factor by which images are resized before detection; None enlarges small ones only.
+        scale: Default factor by which images are resized before detection; None for the levels of `scales`.
         recipe: How they were trained.
         metrics: Measured figures, by evaluation set.
         format: Version of this description.

@@ -19,7 +19,7 @@ def compare(
         str,
         typer.Argument(
             metavar="FLIGHT",
-            help="The earlier flight: a flight_id or its start, or the name of its recording.",
+            help="The earlier flight: a flight_id or its first characters, or the name of its recording.",
         ),
     ],
     after: Annotated[str, typer.Argument(metavar="FLIGHT", help="The later flight.")],

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import StoreOption, open_store
+from inspect_pipeline.commands.options import OptionalFlightArgument, StoreOption, open_store
 from inspect_pipeline.commands.output import print_line, warn
 from inspect_pipeline.commands.progress import progress_bar
 from inspect_pipeline.errors import count_of, printable
@@ -74,12 +74,7 @@ def export(
         Path,
         typer.Option("--output", "-o", metavar="FILE|DIR", help="The file or folder to write; - for stdout."),
     ],
-    flight: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."
-        ),
-    ] = None,
+    flight: OptionalFlightArgument = None,
     every: Annotated[bool, typer.Option("--all", help="Export all flights of the store.")] = False,
     what: Annotated[What, typer.Option(help="What is exported.")] = What.anomalies,
     form: Annotated[

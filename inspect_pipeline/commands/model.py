@@ -240,7 +240,12 @@ def mine(
     ] = 0.3,
     scale: Annotated[
         float | None,
-        typer.Option(min=0.05, max=4.0, help="Resize photographs by this first. Default: small ones only."),
+        typer.Option(
+            min=0.05,
+            max=4.0,
+            metavar="FACTOR",
+            help="Resize photographs by this factor first. Default: one or several, by their size.",
+        ),
     ] = None,
 ) -> None:
     """Cut hard negatives out of photographs without lines.

@@ -90,7 +90,7 @@ ScaleOption = Annotated[
         max=4.0,
         callback=finite,
         metavar="FACTOR",
-        help="Resize images by this factor first. Default: enlarge small images only.",
+        help="Resize images by this factor first. Default: one or several, by their size.",
     ),
 ]
 MinScoreOption = Annotated[
@@ -181,13 +181,12 @@ FlightOption = Annotated[
     str | None,
     typer.Option(
         metavar="FLIGHT",
-        help="Only this flight: its flight_id or its start, the name of its recording, or last.",
+        help="Only this flight: its flight_id or its first characters, the name of its recording, or last.",
     ),
 ]
-FlightArgument = Annotated[
-    str,
-    typer.Argument(metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."),
-]
+_FLIGHT_HELP = "A flight_id or its first characters, the name of its recording, or last."
+FlightArgument = Annotated[str, typer.Argument(metavar="FLIGHT", help=_FLIGHT_HELP)]
+OptionalFlightArgument = Annotated[str | None, typer.Argument(metavar="FLIGHT", help=_FLIGHT_HELP)]
 InboxArgument = Annotated[
     list[str], typer.Argument(metavar="INBOX", help="Folders, recordings, or globs in quotes.")
 ]

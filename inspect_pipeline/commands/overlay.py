@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inspect_pipeline.commands.options import PICTURE_SUFFIXES, StoreOption, check_suffix, open_store
+from inspect_pipeline.commands.options import (
+    PICTURE_SUFFIXES,
+    OptionalFlightArgument,
+    StoreOption,
+    check_suffix,
+    open_store,
+)
 from inspect_pipeline.commands.output import print_line
 from inspect_pipeline.commands.progress import progress_bar
 from inspect_pipeline.errors import count_of
@@ -29,12 +35,7 @@ def overlay(
             "--output", "-o", metavar="FILE|DIR", help="A picture (.png, .jpg), a video (.mp4), or a folder."
         ),
     ],
-    flight: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."
-        ),
-    ] = None,
+    flight: OptionalFlightArgument = None,
     frame: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="A frame_idx. Default: the frame with most lines.")
     ] = None,

@@ -8,17 +8,12 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import StoreOption, check_suffix, open_store
+from inspect_pipeline.commands.options import OptionalFlightArgument, StoreOption, check_suffix, open_store
 from inspect_pipeline.commands.output import print_line
 
 
 def report(
-    flight: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."
-        ),
-    ] = None,
+    flight: OptionalFlightArgument = None,
     all_flights: Annotated[
         bool, typer.Option("--all", help="One page of all flights and spans of the store.")
     ] = False,

@@ -17,11 +17,18 @@ def review(
         str | None,
         typer.Argument(
             metavar="FLIGHT",
-            help="A flight_id or its start, the name of its recording, or last. Default: all flights.",
+            help="A flight_id or its first characters, the name of its recording, or last. Default: all.",
         ),
     ] = None,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="N", help="Port of this machine. Default: a free one.")
+        int,
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="N",
+            show_default=False,
+            help="Port of this machine. Default: a free one.",
+        ),
     ] = 0,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     store: StoreOption = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import StoreOption, open_store
+from inspect_pipeline.commands.options import OptionalFlightArgument, StoreOption, open_store
 from inspect_pipeline.commands.output import print_line
 
 if TYPE_CHECKING:
@@ -18,12 +18,7 @@ _LAYOUTS = "~/.lichtblick-suite/layouts"
 
 
 def view(
-    flight: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FLIGHT", help="A flight_id or its start, the name of its recording, or last."
-        ),
-    ] = None,
+    flight: OptionalFlightArgument = None,
     anomaly: Annotated[
         str | None, typer.Option(metavar="ID", help="Start at this anomaly; no FLIGHT needed.")
     ] = None,
@@ -31,7 +26,14 @@ def view(
         str, typer.Option(metavar="URL", help="Address of a Lichtblick in the browser.")
     ] = "http://localhost:8080",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="N", help="Port of this machine. Default: a free one.")
+        int,
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="N",
+            show_default=False,
+            help="Port of this machine. Default: a free one.",
+        ),
     ] = 0,
     store: StoreOption = None,
 ) -> None:

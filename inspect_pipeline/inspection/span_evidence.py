@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_FRAMES = 300  # of a span: more are thinned out, as neighbours show the same
-_POINTS_A_BIN = 4
 _MAX_HIDDEN = 0.5  # of the views of a conductor, which another one spoils
 _MIN_PRESENT = 0.4  # of the votes; with fewer, and too few against it, frames disagree
 PRESENT, ABSENT, UNKNOWN = 1, 0, -1
@@ -65,11 +64,12 @@ class SpanEvidence:
         bins: its first and last one count. places: of conductors that the stretch is one of, else it is one
         of the axis. How finely a frame shows it does not matter.
         """
-        sight = self.sight
-        lines = [sight.points_of(place) for place in places] or [self.axis.centres]
-        points = np.concatenate([_along(line, bins) for line in lines])
-        shown = np.isfinite(visible_gsd_m(sight.cameras, points))
-        usable = np.flatnonzero(np.isfinite(sight.from_m))
+        sight, stretch = self.sight, slice(bins[0], bins[-1] + 1)
+        points = [sight.points_of(place)[stretch] for place in places]
+        shown = np.isfinite(
+            visible_gsd_m(sight.cameras, np.concatenate(points or [self.axis.centres[stretch]]))
+        )
+        usable = np.flatnonzero(np.isfinite(sight.from_m) & shown.any(axis=1))
         n_shown = shown[usable].sum(axis=1)
         longest = usable[max(find_runs(n_shown >= n_shown.max() / 2, 1), key=len)]
         return np.arange(sight.rows[longest[0]], sight.rows[longest[-1]] + 1)
@@ -90,13 +90,6 @@ class SpanEvidence:
         return np.asarray(self.states != UNKNOWN)
 
 
-def _along(centres: Floats, bins: Ints) -> Floats:
-    """Return points along a line of bins with centres (B, 3), from the edge of one bin to that of another."""
-    n_points = _POINTS_A_BIN * int(bins[-1] - bins[0] + 1) + 1
-    at = np.linspace(bins[0] - 0.5, bins[-1] + 0.5, n_points)
-    return np.column_stack([np.interp(at, np.arange(len(centres)), column) for column in centres.T])
-
-
 def gather_evidence(
     camera: CameraRows, spans: Sequence[Span], origin: LocalMetres, is_usable: Mask, rules: Rules
 ) -> list[SpanEvidence]:
@@ -115,7 +108,7 @@ def gather_evidence(
             sights.setdefault(span.line_id, []).append(_look(axis, cameras, lines, rules))
     evidence = []
     for group in sights.values():
-        found = place_conductors(group)
+        found = place_conductors(group, rules)
         near_problems = path[known], problems[known]
         evidence += [_judge_span(one, found, near_problems, rules) for one in found.sights]
     return evidence

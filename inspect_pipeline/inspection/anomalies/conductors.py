@@ -22,18 +22,12 @@ if TYPE_CHECKING:
     from inspect_pipeline.arrays import Floats, Ints
     from inspect_pipeline.geometry.local_frame import LocalMetres
     from inspect_pipeline.inspection.conductors.fit import ConductorFit
-    from inspect_pipeline.inspection.conductors.layout import Place
     from inspect_pipeline.inspection.rules import Rules
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
 
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
-_MOST_USUAL = 1.25  # times their distance on all spans: one may have moved away in the rest
-_LEAST_VIEWS, _FEW_AGREE = (
-    2,
-    0.25,
-)  # fewer than min_views count where they agree within a share of max_spread_m
 _MIN_APART, _MIN_APART_SD = 2.0, 4.0  # times aligned_px, or the noise: nearer conductors are not compared
 _MIN_ASIDE = 0.5  # of the distance of two conductors, as it appears: else one is nearly behind the other
 _NOISY_USUAL = 1.5  # times min_usual_m: under noise, wires of a bundle appear farther apart than they are
@@ -108,17 +102,13 @@ def _distances_m(first: SpanConductor, second: SpanConductor, one: SpanEvidence,
     appear = [one.sight.appear_at(each.across_m, each.raised_m, each.sag_m)[frame, bins] for each in places]
     expected_m = np.abs(appear[0] - appear[1])
     scale_px = one.sight.scale_px[frame, bins]
-    real_m = _places_apart_m(first, second, one)
+    real_m = float(
+        np.hypot(*(getattr(places[0], n) - getattr(places[1], n) for n in ("across_m", "raised_m")))
+    )
     least_px = np.maximum(rules.anomalies["aligned_px"], _MIN_APART_SD * one.sight.noise_m * scale_px)
     apart = (expected_m * scale_px >= _MIN_APART * least_px) & (expected_m >= _MIN_ASIDE * real_m)
     ratio = np.abs(first.across_m[i] - second.across_m[j])[apart] / expected_m[apart]
     return _median_by_bin(real_m * ratio, bins[apart], n_bins, rules)
-
-
-def _places_apart_m(first: SpanConductor, second: SpanConductor, one: SpanEvidence) -> float:
-    """Return the distance of two conductors as they hang on all spans."""
-    a, b = one.places[first.number], one.places[second.number]
-    return float(np.hypot(a.across_m - b.across_m, a.raised_m - b.raised_m))
 
 
 def _median_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Floats:
@@ -127,12 +117,10 @@ def _median_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> F
     order = np.argsort(bins, kind="stable")
     edges = np.flatnonzero(np.diff(bins[order])) + 1
     for group in np.split(order, edges) if len(order) else ():
-        if len(group) < _LEAST_VIEWS:
+        if len(group) < rules.of("conductors_converging")["min_views"]:
             continue
         low, middle, high = np.quantile(across_m[group], (0.1, 0.5, 0.9))
-        limits = rules.of("conductors_converging")
-        is_few = len(group) < limits["min_views"]
-        if high - low <= limits["max_spread_m"] * (_FEW_AGREE if is_few else 1.0):
+        if high - low <= rules.of("conductors_converging")["max_spread_m"]:
             medians[bins[group[0]]] = middle
     return medians
 
@@ -146,7 +134,7 @@ def find_converging(
         _to_finding(one, approach, (first, second), origin)
         for i, first in enumerate(told_apart)
         for second in told_apart[i + 1 :]
-        for approach in _approaches(first, second, one, rules)
+        for approach in _approaches(_distances_m(first, second, one, rules), one, rules)
     ]
     # A conductor that moves towards its neighbour also approaches those behind it.
     if found:
@@ -168,21 +156,17 @@ class _Approach(NamedTuple):
     usual_m: float
 
 
-def _approaches(
-    first: SpanConductor, second: SpanConductor, one: SpanEvidence, rules: Rules
-) -> Iterator[_Approach]:
-    """Yield the stretches in which two conductors are much closer than usual."""
+def _approaches(apart_m: Floats, one: SpanEvidence, rules: Rules) -> Iterator[_Approach]:
+    """Yield the stretches in which distances (B,) are much less than usual."""
     limits, bin_m = rules.of("conductors_converging"), one.axis.bin_m
-    apart_m = _distances_m(first, second, one, rules)
-    most_m = _MOST_USUAL * _places_apart_m(first, second, one)
     for known in _smooth_runs(apart_m, limits["max_slope"] * bin_m):
-        if len(known) < one.axis.n_bins(2 * limits["min_length_m"]):
+        if len(known) * bin_m < 2 * limits["min_length_m"]:
             continue
-        usual_m = min(float(np.quantile(apart_m[known], _USUAL_QUANTILE)), most_m)
+        usual_m = float(np.quantile(apart_m[known], _USUAL_QUANTILE))
         limit_m = limits["max_share"] * usual_m
         least_m = limits["min_usual_m"] * (1.0 if one.sight.is_exact else _NOISY_USUAL)
         is_near = (apart_m[known] < limit_m) & (usual_m >= least_m)
-        for run in find_runs(is_near, one.axis.n_bins(limits["min_length_m"])):
+        for run in find_runs(is_near, limits["min_length_m"] / bin_m):
             yield _Approach(known[run], float(apart_m[known[run]].min()), limit_m, usual_m)
 
 
@@ -240,9 +224,6 @@ def find_sag_changes(
     limit_m = max(limits["min_difference_m"], _MIN_SIGNIFICANCE * max(outlier.sd[2], spread_m))
     if abs(difference_m) < limit_m or outlier.misfit_m > limits["max_misfit_m"]:
         return
-    others = [fit.place for each, _, fit in measured if each != number]
-    if not one.sight.is_exact and abs(outlier.place.sag_m - _trend_m(others, outlier.place)) < limit_m:
-        return
     word = "lower" if difference_m > 0 else "higher"
     bins = np.flatnonzero(one.sight.parabola > _MIN_HANGING)
     if len(bins):
@@ -260,15 +241,6 @@ def find_sag_changes(
         )
 
 
-def _trend_m(others: Sequence[Place], at: Place) -> float:
-    """Return the sag of other conductors, extrapolated across: errors of poses tilt those of all."""
-    across_m = np.array([each.across_m for each in others]) - at.across_m
-    sags_m = np.array([each.sag_m for each in others])
-    away_m = across_m - across_m.mean()
-    slope = (away_m @ sags_m) / max(float(away_m @ away_m), 1e-9)
-    return float(sags_m.mean() - slope * across_m.mean())
-
-
 def compared_share(one: SpanEvidence, conductors: Sequence[SpanConductor], rules: Rules) -> Floats:
     """Return the share (B,) of neighbouring conductors whose distance is known along a stretch."""
     n_bins, limits = len(one.axis.centres), rules.of("conductors_converging")
@@ -276,6 +248,6 @@ def compared_share(one: SpanEvidence, conductors: Sequence[SpanConductor], rules
     for first, second in pairwise(each for each in conductors if _is_judged(one, each)):
         apart_m = _distances_m(first, second, one, rules)
         for known in _smooth_runs(apart_m, limits["max_slope"] * one.axis.bin_m):
-            if len(known) >= one.axis.n_bins(2 * limits["min_length_m"]):
+            if len(known) * one.axis.bin_m >= 2 * limits["min_length_m"]:
                 compared[known[0] : known[-1] + 1] += 1
     return compared / max(len(one.places) - 1, 1)

@@ -9,13 +9,16 @@ import numpy as np
 
 from inspect_pipeline.inspection.conductors.alignment import align_spans
 from inspect_pipeline.inspection.conductors.layout import Place, find_places
-from inspect_pipeline.inspection.conductors.refine import frames_with, refine, share_explained
+from inspect_pipeline.inspection.conductors.realign import realign
+from inspect_pipeline.inspection.conductors.refine import FREE_SD, frames_with, refine, share_explained
+from inspect_pipeline.inspection.conductors.sight import look_at_span
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from inspect_pipeline.arrays import Mask
     from inspect_pipeline.inspection.conductors.sight import SpanSight
+    from inspect_pipeline.inspection.rules import Rules
 
 # Within which the lines of a conductor lie, from frames that are aligned roughly to those aligned well.
 _NEAR_M = (0.2, 0.1)
@@ -38,11 +41,13 @@ class Placing(NamedTuple):
     explained: float
 
 
-def place_conductors(raw: Sequence[SpanSight]) -> Placing:
+def place_conductors(raw: Sequence[SpanSight], rules: Rules) -> Placing:
     """Return the sights of spans with the same structures, aligned, and the places of their conductors.
 
     From one side, conductors form a pattern that errors of poses shift and scale. From all sides they do not:
-    then frames are taken as recorded at first. What explains more lines is right.
+    then frames are taken as recorded at first. What explains more lines is right. Where poses have errors,
+    frames are looked at once more by the corrected cameras: what is in view, which part of the span a line is
+    at.
     """
     if not any(len(one.view.across_m) for one in raw):
         return Placing(list(raw), [], 0.0)
@@ -52,7 +57,20 @@ def place_conductors(raw: Sequence[SpanSight]) -> Placing:
     if best.explained < _LEAST:
         sights = [replace(one, shift_sd_m=max(one.shift_sd_m, _LOST_SD_M)) for one in best.sights]
         return best._replace(sights=sights)
-    return _without_superfluous(raw, best)
+    if all(one.is_exact for one in best.sights):
+        return _without_superfluous(raw, best)
+    seen = [_look_again(one, rules) for one in best.sights]
+    sights, places = refine(seen, seen, best.places, FREE_SD)
+    again = Placing(sights, places, share_explained(sights, places))
+    if again.explained < best.explained - _MAX_LOST:
+        return _without_superfluous(raw, best)
+    return _without_superfluous(seen, again)
+
+
+def _look_again(sight: SpanSight, rules: Rules) -> SpanSight:
+    """Return what the frames of a sight show of its span by their corrected cameras."""
+    again = look_at_span(sight.axis, sight.rows, sight.cameras, sight.lines, rules)
+    return replace(again, shift_sd_m=sight.shift_sd_m)
 
 
 def _without_superfluous(raw: Sequence[SpanSight], found: Placing) -> Placing:
@@ -67,7 +85,8 @@ def _without_superfluous(raw: Sequence[SpanSight], found: Placing) -> Placing:
         has = np.concatenate([frames_with(one, found.places) for one in found.sights]).sum(axis=0)
         rarest = int(min(mixed, key=lambda k: has[k]))
         left = [place for k, place in enumerate(found.places) if k != rarest]
-        sights, places = refine(raw, found.sights, left)
+        shifted = [realign(one, left) for one in found.sights]
+        sights, places = refine(raw, shifted, left)
         fewer = Placing(sights, places, share_explained(sights, places))
         if fewer.explained < found.explained - _MAX_LOST:
             break

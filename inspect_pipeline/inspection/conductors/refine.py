@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inspect_pipeline.inspection.conductors.corrected import correct_cameras
 from inspect_pipeline.inspection.conductors.layout import Place
 from inspect_pipeline.inspection.conductors.matching import NO_CONDUCTOR, match_lines
 
@@ -29,6 +30,8 @@ _OWN_SD_M, _MEAN_SD_M = np.array([2.0, 0.4]), np.array([0.5, 0.4])
 # They are taken from the corrections themselves, within bounds.
 _LEAST_SD = np.array([0.1, 0.003, 0.01, 0.0003, 0.0003])
 _MOST_SD = np.array([2.0, 0.05, 0.15, 0.003, 0.003])
+# Those expected once lines are matched: from small ones, turns about the other two axes would hardly grow.
+FREE_SD = np.array([0.3, 0.03, 0.05, 0.003, 0.003])
 _MEDIAN_TO_SD = 1.4826
 _NEAR_M, _NEAR_SD = 0.5, 4.0  # of where a conductor appears: lines farther away belong to one that was moved
 _EXPLAINED_M, _EXPLAINED_PX = 0.15, 5.0
@@ -46,19 +49,23 @@ class _Matches:
 
 
 def refine(
-    raw: Sequence[SpanSight], aligned: Sequence[SpanSight], places: Sequence[Place]
+    raw: Sequence[SpanSight],
+    aligned: Sequence[SpanSight],
+    places: Sequence[Place],
+    least_sd: Floats = _LEAST_SD,
 ) -> tuple[list[SpanSight], list[Place]]:
     """Return the sights of spans, better aligned, and the places of their conductors, without doubles.
 
-    raw: as recorded. aligned: the same, aligned well enough to match lines with places.
+    raw: as recorded. aligned: the same, aligned well enough to match lines with places. least_sd (5,): of
+    pose errors that are expected at first.
     """
     sights, places = list(aligned), list(places)
     corrections = [_first_corrections(one, other) for one, other in zip(raw, aligned, strict=True)]
-    sd = _usual_sd(corrections)
+    sd = np.maximum(_usual_sd(corrections, [np.zeros_like(one) for one in corrections]), least_sd)
     for _ in range(_ROUNDS):
         matches = [_match(one, places) for one in sights]
-        corrections, places = _solve(sights, matches, corrections, places, sd)
-        sd = _usual_sd(corrections)
+        corrections, places, variances = _solve(sights, matches, corrections, places, sd)
+        sd = _usual_sd(corrections, variances)
         sights = [_apply(one, found) for one, found in zip(raw, corrections, strict=True)]
         places = _merge(places, sights)
     places = _drop_rare(places, sights)
@@ -78,20 +85,20 @@ def _first_corrections(raw: SpanSight, aligned: SpanSight) -> Floats:
     return corrections
 
 
-def _usual_sd(corrections: Sequence[Floats]) -> Floats:
-    """Return the standard deviation (5,) of corrections, within bounds."""
-    known = np.concatenate(corrections)
-    known = known[known.any(axis=1)]
-    sd = _MEDIAN_TO_SD * np.median(np.abs(known), axis=0) if len(known) else _LEAST_SD
+def _usual_sd(corrections: Sequence[Floats], variances: Sequence[Floats]) -> Floats:
+    """Return the standard deviation (5,) of pose errors by corrections and their variances, within bounds."""
+    squares = np.concatenate([known**2 + left for known, left in zip(corrections, variances, strict=True)])
+    is_known = np.concatenate(corrections).any(axis=1)
+    sd = np.sqrt(np.mean(squares[is_known], axis=0)) if is_known.any() else _LEAST_SD
     return np.asarray(np.clip(sd, _LEAST_SD, _MOST_SD))
 
 
 def _with_noise(sight: SpanSight, places: Sequence[Place], shift_sd_m: float) -> SpanSight:
-    """Return the sight with the noise of its crossings and positions."""
+    """Return the sight with the noise of its crossings and positions, at least that known before."""
     found = _match(sight, places)
     away = np.abs(_residuals(sight, found, places))
     noise_m = _MEDIAN_TO_SD * float(np.median(away)) if len(away) else sight.noise_m
-    return replace(sight, noise_m=noise_m, shift_sd_m=shift_sd_m)
+    return replace(sight, noise_m=noise_m, shift_sd_m=max(sight.shift_sd_m, shift_sd_m))
 
 
 def share_explained(sights: Sequence[SpanSight], places: Sequence[Place]) -> float:
@@ -157,15 +164,15 @@ def _solve(
     corrections: Sequence[Floats],
     places: Sequence[Place],
     sd: Floats,
-) -> tuple[list[Floats], list[Place]]:
-    """Return better corrections (N, 5) of the frames of each span, and better places of conductors.
+) -> tuple[list[Floats], list[Place], list[Floats]]:
+    """Return better corrections (N, 5) of the frames of each span, places, and variances of the corrections.
 
     The corrections of each frame are eliminated first, which leaves equations for the places alone.
     """
     now = np.array([(place.across_m, place.raised_m, place.sag_m) for place in places])
     normal = _prior(len(places))
     right = -normal @ now.ravel()
-    gains = []
+    gains, variances = [], []
     for sight, found, known in zip(sights, matches, corrections, strict=True):
         by_frame, mixed, wanted, own, own_wanted = _equations(sight, found, known, places)
         by_frame += np.diag(sd**-2.0)
@@ -174,6 +181,7 @@ def _solve(
         normal += own - np.einsum("nip,niq->pq", mixed, gain[:, :, :-1])
         right += own_wanted - np.einsum("nip,ni->p", mixed, gain[:, :, -1])
         gains.append(gain)
+        variances.append(np.einsum("nii->ni", np.linalg.inv(by_frame)))
     step = np.linalg.solve(normal, right)
     better = [
         known + gain[:, :, -1] - gain[:, :, :-1] @ step
@@ -183,7 +191,7 @@ def _solve(
     # Another shape than that of a hanging wire is one that a neighbour was moved to, and not a sag.
     usual_m = np.median(values[:, 2])
     values[:, 2] = np.clip(values[:, 2], usual_m - _MOST_SAG_M, usual_m + _MOST_SAG_M)
-    return better, [Place(*three) for three in values.tolist()]
+    return better, [Place(*three) for three in values.tolist()], variances
 
 
 def _equations(
@@ -240,7 +248,8 @@ def _prior(n_places: int) -> Floats:
 def _apply(sight: SpanSight, corrections: Floats) -> SpanSight:
     """Return the sight with its lines and cameras moved."""
     moved_m = (_by_pose(sight) * corrections[sight.view.frame]).sum(axis=1)
-    return sight.move(sight.view.across_m + moved_m, corrections[:, 0], 1 + corrections[:, 2])
+    moved = sight.move(sight.view.across_m + moved_m, corrections[:, 0], 1 + corrections[:, 2])
+    return replace(moved, cameras=correct_cameras(sight, corrections))
 
 
 def _merge(places: Sequence[Place], sights: Sequence[SpanSight]) -> list[Place]:

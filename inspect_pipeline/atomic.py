@@ -120,21 +120,33 @@ def _resolve(target: Path) -> tuple[Path, bool]:
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(target))
     if stat.S_ISBLK(mode):
         raise OSError(errno.EINVAL, "it is a block device", str(target))
-    return (target, True) if not stat.S_ISREG(mode) or _is_open_file(target) else (target.resolve(), False)
+    open_file = _open_file(target)
+    if open_file:
+        return open_file, True
+    return (target.resolve(), False) if stat.S_ISREG(mode) else (target, True)
 
 
-def _is_open_file(target: Path) -> bool:
-    """Whether links lead through a folder of open files, /proc/<pid>/fd."""
+def _open_file(target: Path) -> Path | None:
+    """Return the name in a folder of open files, /proc/<pid>/fd, through which links lead, if they do."""
     while True:
-        if os.path.realpath(target.parent).startswith(("/proc/", "/dev/fd")):
-            return True
+        folder = os.path.realpath(target.parent)
+        if folder.startswith("/proc/"):
+            return Path(folder) / target.name
         if not target.is_symlink():
-            return False
+            return None
         target = target.parent / target.readlink()
 
 
 def _copy_into(source: Path, target: Path) -> None:
     """Append the content of a file to a device, a FIFO or an open file; raises OSError."""
+    with source.open("rb") as content, os.fdopen(_open_to_append(target), "wb") as file:
+        shutil.copyfileobj(content, file)
+
+
+def _open_to_append(target: Path) -> int:
+    """Return a descriptor; of a file that is open in this process its own, whose place others share."""
+    if target.parent == Path(f"/proc/{os.getpid()}/fd"):
+        return os.dup(int(target.name))
     deadline = time.monotonic() + _READER_WAIT_S
     while True:
         try:
@@ -147,8 +159,7 @@ def _copy_into(source: Path, target: Path) -> None:
                 raise OSError(errno.ENXIO, "nobody reads from it", str(target)) from error
         time.sleep(0.05)
     os.set_blocking(descriptor, True)
-    with source.open("rb") as content, os.fdopen(descriptor, "wb") as file:
-        shutil.copyfileobj(content, file)
+    return descriptor
 
 
 def move_folder_into_place(new: Path, final: Path, aside: Path) -> None:

@@ -101,9 +101,10 @@ def test_a_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ta
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["/dev/stdout", "/proc/self/fd/1", "mine"])
-def test_stdout_by_name_is_appended_to(tmp_path: Path, name: str) -> None:
-    """As a shell's >> has opened it: the lines in front stay, and the file is not replaced."""
+@pytest.mark.parametrize("mode", ["a", "r+"])  # as by >> and by > of a shell
+@pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1", "mine"])
+def test_stdout_by_name_is_written_on(tmp_path: Path, name: str, mode: str) -> None:
+    """The lines in front stay, what comes after is behind, and the file is not replaced."""
     log = tmp_path / "log"
     log.write_text("before\n")
     (tmp_path / "mine").symlink_to("/dev/stdout")
@@ -111,10 +112,12 @@ def test_stdout_by_name_is_appended_to(tmp_path: Path, name: str) -> None:
         "import sys, pathlib; from inspect_pipeline.atomic import appearing\n"
         "with appearing(pathlib.Path(sys.argv[1])) as part: part.write_text('new\\n')"
     )
-    with log.open("a") as stdout:
+    with log.open(mode) as stdout:
+        stdout.seek(0, os.SEEK_END)
         subprocess.run([sys.executable, "-c", code, name], cwd=tmp_path, stdout=stdout, check=True)
         assert os.path.samestat(os.fstat(stdout.fileno()), log.stat())
-    assert log.read_text() == "before\nnew\n"
+        os.write(stdout.fileno(), b"after\n")
+    assert log.read_text() == "before\nnew\nafter\n"
 
 
 def test_a_lock_that_its_holder_removes_is_taken_anew(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def _choose_format(output: Path, what: What, form: Form | None) -> Form:
     if chosen is None:
         raise typer.BadParameter(f"{output}: its suffix names no format; give --format {'|'.join(possible)}")
     if chosen.value not in possible:
-        raise typer.BadParameter(f"{what} is exported as {', '.join(possible)}, not as {chosen}")
+        raise typer.BadParameter(f"{what} can be exported as {', '.join(possible)}, not as {chosen}")
     return chosen
 
 

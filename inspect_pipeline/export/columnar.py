@@ -69,7 +69,7 @@ def _write(
     schema: pa.Schema, batches: Iterator[pa.RecordBatch], path: Path, metadata: dict[str, str]
 ) -> None:
     schema = schema.with_metadata(metadata)
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+    with path.open("wb") as file, pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for batch in batches:
             writer.write_batch(batch.replace_schema_metadata(metadata))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import duckdb
@@ -33,6 +33,7 @@ class IndexReader:
 
     def __init__(self, connection: duckdb.DuckDBPyConnection) -> None:
         self.connection = connection
+        self._readers: list[pa.RecordBatchReader] = []
 
     def select(self, sql: str, values: Sequence[Any] | dict[str, Any] = ()) -> list[dict[str, Any]]:
         """Return rows as dicts."""
@@ -41,15 +42,26 @@ class IndexReader:
         return [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
 
     def read_export(self, name: str, flight_ids: Sequence[str]) -> pa.RecordBatchReader:
-        """Read the rows of schemas/exports/`name`.sql for some flights, in batches."""
+        """Read the rows of schemas/exports/`name`.sql for some flights in batches, until `close`."""
         sql = read_schema(f"exports/{name}.sql")
         cursor = self.connection.cursor()  # of its own, so that several can be read at a time
-        return cursor.sql(sql, params={"flight_ids": list(flight_ids)}).to_arrow_reader(_BATCH_ROWS)
+        reader = cursor.sql(sql, params={"flight_ids": list(flight_ids)}).to_arrow_reader(_BATCH_ROWS)
+        self._readers.append(reader)
+        return reader
 
     def iter_rows(self, name: str, flight_id: str) -> Iterator[dict[str, Any]]:
         """Iterate over the rows of schemas/exports/`name`.sql for one flight as dicts."""
         for batch in self.read_export(name, [flight_id]):
             yield from batch.to_pylist()
+
+    def close(self) -> None:
+        """End what is being read.
+
+        DuckDB waits for ever, with Python's lock, to open an index again while a reader of it is open, as in
+        the traceback of an error that somebody keeps.
+        """
+        for reader in self._readers:
+            reader.close()
 
 
 @contextmanager
@@ -65,7 +77,8 @@ def open_index(store: Store) -> Iterator[IndexReader]:
         with duckdb.connect(path, read_only=True, config=CONFIG) as connection:
             if count_migrations(connection) != len(MIGRATIONS) or not has_views(connection):
                 raise StoreVersionError(path, "the index is of another version", REBUILD)
-            yield IndexReader(connection)
+            with closing(IndexReader(connection)) as reader:
+                yield reader
     except DATABASE_ERRORS as error:
         raise index_error(path, error) from error
 

@@ -49,7 +49,7 @@ def test_flights_and_suffixes(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["last", "--what", "lines", "-o", "x.kml"], "lines is exported as csv, parquet, rrd, not as kml"),
+        (["last", "--what", "lines", "-o", "x.kml"], "can be exported as csv, parquet, rrd, not as kml"),
         (["last", "-o", "x.foo"], "names no format"),
         (["last", "--what", "evidence", "--format", "gpkg", "-o", "x"], "jpeg, coco, labelme, esri-oriented"),
         (["last", "--all", "-o", "x.csv"], "give a FLIGHT"),

@@ -19,7 +19,7 @@ import pyogrio
 import pytest
 from pyproj import Geod
 
-from inspect_pipeline.errors import MissingExtraError
+from inspect_pipeline.errors import MissingExtraError, OutputError
 from inspect_pipeline.export.rows import Redaction, Rows
 from inspect_pipeline.export.tables import TABLE_FORMATS, export_rows
 from inspect_pipeline.export.text import write_csv, write_geojson, write_kml
@@ -227,6 +227,15 @@ def test_kml_is_never_under_the_ground(store: Store, tmp_path: Path) -> None:
         "gaps": {"clampToGround"},
         "anomalies": {"clampToGround"},
     }
+
+
+@pytest.mark.parametrize("form", TABLE_FORMATS["frames"])
+def test_a_file_that_cannot_be_written_is_one_line(store: Store, tmp_path: Path, form: str) -> None:
+    path = tmp_path / "none" / "a"
+    with pytest.raises(OutputError) as error:
+        export_rows(store, IDS, "frames", path, form=form)
+    assert select(store, "SELECT 1 AS one") == [{"one": 1}]  # while the error keeps the rows
+    assert str(error.value) == f"{path}: cannot be written (No such file or directory); name another file"
 
 
 def test_a_missing_extra_is_named(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

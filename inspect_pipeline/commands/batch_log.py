@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from inspect_pipeline.commands.output import message_of
 from inspect_pipeline.commands.progress import progress_bar
 from inspect_pipeline.errors import count_of, printable
 
@@ -99,5 +100,5 @@ def _describe(event: str, fields: dict[str, object]) -> str:
         bad = int(str(fields["n_bad_frames"]))
         frames = count_of(int(str(fields["n_frames"])), "frame")
         texts["frames"] = f"{frames} ({bad:,} bad)" if bad else frames
-    detail = str(fields.get("detail", "")).strip().splitlines()
-    return _LINES[event].format_map(texts | {"detail": detail[-1] if detail else ""})
+    detail = message_of(str(fields.get("detail", "")), str(fields.get("path", "")))
+    return _LINES[event].format_map(texts | {"detail": detail})

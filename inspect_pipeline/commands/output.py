@@ -106,3 +106,9 @@ def print_table(headers: Sequence[str], rows: Sequence[Sequence[object]], empty:
             for cell, width, right in zip(line, widths, to_right, strict=True)
         )
         typer.echo("  ".join(cells).rstrip())
+
+
+def message_of(detail: str, path: str) -> str:
+    """Return the message of a failure, which ends a traceback, without the path, which stands beside it."""
+    lines = detail.strip().splitlines() or [""]
+    return lines[-1].removeprefix(f"{printable(path)}: ")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from inspect_pipeline.commands.options import JsonOption, StoreOption, open_store
-from inspect_pipeline.commands.output import print_line, print_table
+from inspect_pipeline.commands.output import message_of, print_line, print_table
 from inspect_pipeline.commands.times import TimezoneOption, format_time
 
 if TYPE_CHECKING:
@@ -42,7 +42,13 @@ def list_notes(
             typer.echo(json.dumps(note.to_json()))
         return
     rows = [
-        (note.note_id, format_time(note.at, timezone), note.reason, note.path, _last_line(note))
+        (
+            note.note_id,
+            format_time(note.at, timezone),
+            note.reason,
+            note.path,
+            message_of(note.detail, note.path),
+        )
         for note in notes
     ]
     print_table(("id", "since", "reason", "path", "detail"), rows, "no recordings in quarantine")
@@ -97,9 +103,3 @@ def _find(notes: Sequence[QuarantineNote], beginning: str) -> QuarantineNote:
     if len(found) > 1:
         raise AmbiguousIdError("recording", beginning, len(found))
     return found[0]
-
-
-def _last_line(note: QuarantineNote) -> str:
-    """Return the message: a traceback ends with it, and it begins with the path, which has a column."""
-    lines = note.detail.strip().splitlines() or [""]
-    return lines[-1].removeprefix(f"{note.path}: ")

@@ -115,7 +115,8 @@ def _read_sql(sql: str | None, file: Path | None) -> str:
             with file.open(encoding="utf-8") as opened:
                 text = opened.read(_MAX_SQL_CHARS + 1)
         except (OSError, ValueError) as error:
-            raise typer.BadParameter(f"{file}: cannot be read as text ({error})") from error
+            why = getattr(error, "strerror", None) or error
+            raise typer.BadParameter(f"{file}: cannot be read as text ({why})") from error
     elif sql is None or sql == "-":
         if sql is None and file is None and (sys.stdin is None or sys.stdin.isatty()):
             raise typer.BadParameter("give SQL, --file FILE or --named NAME; --named list shows the names")

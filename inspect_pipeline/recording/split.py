@@ -44,7 +44,9 @@ def find_parts(folder: Path) -> list[Path]:
     matches = {path: _NUMBERED.fullmatch(path.stem) for path in paths}
     names = {match[1] if match else path.stem for path, match in matches.items()}
     if len(names) > 1 or (len(matches) > 1 and None in matches.values()):
-        raise RecordingError(folder, "its recordings are not parts of one", "name one of them")
+        raise RecordingError(
+            folder, "its recordings are not parts of one", "name them one by one, or run lsnet-pipe batch"
+        )
     return sorted(matches, key=lambda path: (int(match[2]) if (match := matches[path]) else 0, path))
 
 

@@ -46,7 +46,10 @@ def test_a_night_as_people_see_it(run: Callable[..., Outcome], tmp_path: Path) -
     assert night.exit_code == 3
     assert night.out.startswith("3 recordings: 2 processed, 0 done before, 1 in quarantine, 0 still being")
     assert f"{tmp_path}/inbox/r0.mcap: ok, 2 frames, 0 lines, " in night.err
-    assert "/inbox/odd??[2J.mcap: in quarantine after attempt 1, unreadable: " in night.err
+    assert (
+        "/inbox/odd??[2J.mcap: in quarantine after attempt 1, unreadable: it is not an MCAP file;"
+        in night.err
+    )
     assert "\x1b" not in night.err
     listed = run("quarantine", "list")
     assert listed.out.count("\n") == 2

@@ -28,7 +28,7 @@ class Diagnosis:
 
 
 def examine(store: Store, *, load: bool = False) -> Iterator[Diagnosis]:
-    """All findings, those that take longest last."""
+    """Yield all findings, those that take longest last."""
     yield Diagnosis("lsnet-pipe", version("lsnet-pipe"))
     yield Diagnosis("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
     for package in _PACKAGES:

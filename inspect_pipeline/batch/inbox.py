@@ -40,7 +40,7 @@ class Candidate:
 
     @classmethod
     def at(cls, path: Path) -> Candidate | None:
-        """The recording at a path, None where there is no file (any more)."""
+        """Return the recording at a path, None where there is no file (any more)."""
         found = []
         try:
             for part in _files_of(path):
@@ -79,7 +79,7 @@ class Discovery:
 
 
 def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None = None) -> Discovery:
-    """The recordings in folders, files and glob patterns, each once, changed at or after `since_ns`.
+    """Find the recordings in folders, files and glob patterns, each once, changed at or after `since_ns`.
 
     Nothing below the folder `without` is looked at. Raises InboxError for a folder or file that is not there,
     and for a folder that cannot be read.
@@ -100,7 +100,7 @@ def discover(inboxes: Iterable[str], *, since_ns: int = 0, without: Path | None 
 def _paths_of(
     inbox: str, without: Path | None, unreadable: dict[Path, None]
 ) -> Iterator[tuple[Path, str | None]]:
-    """Paths with the real path of the folder they must not lead out of; None for a file named by hand."""
+    """Yield paths, each with the real path of the folder it must not leave; None for a file named by hand."""
     path = Path(inbox).absolute()
     if path.is_dir():
         root = os.path.realpath(path)
@@ -130,7 +130,7 @@ def _check_readable(folder: Path) -> None:
 
 
 def _walk(folder: Path, without: Path | None, unreadable: dict[Path, None]) -> Iterator[Path]:
-    """The recordings below a folder; linked and hidden folders (.Trash-1000) are not entered.
+    """Yield the recordings below a folder; linked and hidden folders (.Trash-1000) are not entered.
 
     Folders that may not be read are added to `unreadable`.
     """
@@ -145,7 +145,7 @@ def _walk(folder: Path, without: Path | None, unreadable: dict[Path, None]) -> I
 
 
 def _files_of(path: Path) -> list[Path]:
-    """The files of a recording: itself, or its parts, which may be missing. Raises OSError."""
+    """Return the files of a recording: itself, or its parts, which may be missing. Raises OSError."""
     return listed_parts(path) if path.is_dir() and (path / "metadata.yaml").is_file() else [path]
 
 
@@ -163,7 +163,7 @@ def _is_hidden(folder_name: str) -> bool:
 
 
 def _fixed_part(pattern: Path) -> Path:
-    """The folder in front of the first wildcard."""
+    """Return the folder in front of the first wildcard."""
     return next(parent for parent in pattern.parents if not glob.has_magic(str(parent)))
 
 

@@ -112,7 +112,7 @@ class _Batch:
         return summary
 
     def plan(self) -> list[Candidate]:
-        """The recordings that are neither done nor in quarantine, oldest first, at most `limit`."""
+        """Return the recordings that are neither done nor in quarantine, oldest first, at most `limit`."""
         found = discover(self._options.inboxes, since_ns=self._options.since_ns, without=self._store.root)
         self._counts = Counts(n_found=len(found.candidates))
         for link in found.links_out:

@@ -122,10 +122,12 @@ def export(
     elif chosen in _IMAGES:
         _export_images(source, flight_ids, output, what, chosen, redaction)
     else:
-        from inspect_pipeline.export.tables import export_rows
+        from inspect_pipeline.export.tables import MAP_FORMATS, export_rows
 
         rows = export_rows(source, flight_ids, what.value, output, form=chosen.value, redaction=redaction)
-        _report(output, f"{count_of(rows.n_rows, 'row')} of {what.value}", redaction)
+        n_nowhere = rows.n_rows - rows.n_placed if chosen.value in MAP_FORMATS else 0
+        nowhere = f", {n_nowhere:,} without a place" if n_nowhere else ""
+        _report(output, f"{count_of(rows.n_rows, 'row')} of {what.value}{nowhere}", redaction)
 
 
 def _choose_format(output: Path, what: What, form: Form | None) -> Form:

@@ -27,9 +27,9 @@ _COLUMNAR: dict[str, Callable[[Rows, Path], None]] = {
     "parquet": write_parquet,
     "geoparquet": write_geoparquet,
 }
-_MAPS = ("geojson", "gpkg", "kml", "geoparquet")
+MAP_FORMATS = ("geojson", "gpkg", "kml", "geoparquet")
 TABLE_FORMATS = {
-    what: (*(_MAPS if what in GEOMETRIES else ()), "csv", "parquet")
+    what: (*(MAP_FORMATS if what in GEOMETRIES else ()), "csv", "parquet")
     for what in ("frames", "lines", "spans", "conductors", "gaps", "anomalies", "signals")
 }
 

@@ -48,7 +48,7 @@ class NamedQuery:
 
 
 def named_queries() -> dict[str, NamedQuery]:
-    """All named queries, by name."""
+    """Return all named queries, by name."""
     folder = files("inspect_pipeline.schemas").joinpath("queries")
     found = [path for path in folder.iterdir() if path.name.endswith(".sql")]
     queries = [NamedQuery(path.name.removesuffix(".sql"), path.read_text(encoding="utf-8")) for path in found]
@@ -56,7 +56,7 @@ def named_queries() -> dict[str, NamedQuery]:
 
 
 def find_query(name: str) -> NamedQuery:
-    """The query of a name; raises QueryError."""
+    """Return the query of a name; raises QueryError."""
     queries = named_queries()
     if name not in queries:
         raise QueryError(f"no query is named {name!r}; there are {', '.join(queries)}")

@@ -21,7 +21,7 @@ _TRACK_Y_M, _RUT_M = 8.5, 0.8
 
 
 def draw_ground(rng: np.random.Generator) -> ImageArray:
-    """The RGB picture of a tile of ground: row i is y = i * TEXEL_M, column j is x = j * TEXEL_M."""
+    """Return the RGB picture of a tile of ground: row i is y = i * TEXEL_M, column j is x = j * TEXEL_M."""
     y, x = (axis * np.float32(TEXEL_M) for axis in np.ogrid[: TILE_TEXELS[0], : TILE_TEXELS[1]])
     broad, tufts, blades = (_noise(rng, *band) for band in ((4.0, 60.0), (0.4, 4.0), (0.06, 0.5)))
     ground = _mix(_flat(_DARK_GRASS), _LIGHT_GRASS, 0.5 + 0.14 * broad + 0.18 * tufts + 0.2 * blades)
@@ -36,7 +36,7 @@ def draw_ground(rng: np.random.Generator) -> ImageArray:
 
 
 def lay_photograph(photograph: ImageArray) -> ImageArray:
-    """A tile of ground of an RGB photograph from above, as wide as a drawn one, mirrored so that it repeats.
+    """Return a tile of ground of an RGB photograph from above, as wide as a drawn one, that repeats mirrored.
 
     Half of the tile's width is the width of the photograph, of which no more than a square is taken.
     """
@@ -50,7 +50,7 @@ def lay_photograph(photograph: ImageArray) -> ImageArray:
 
 
 def ground_to_texels() -> Floats:
-    """(3, 3) from homogeneous x, y in m to homogeneous texels; OpenCV counts from the centre of the first."""
+    """Return (3, 3) from homogeneous x, y in m to texels, counted from the centre of the first by OpenCV."""
     return np.array([[1 / TEXEL_M, 0, -0.5], [0, 1 / TEXEL_M, -0.5], [0, 0, 1]])
 
 

@@ -67,7 +67,7 @@ def render(
     rng: np.random.Generator,
     kind: RenderKind = RenderKind.DRAWN,
 ) -> ImageArray:
-    """The RGB image (height, width, 3) the camera takes, with blur and noise, good or spoiled.
+    """Return the RGB image (height, width, 3) the camera takes, with blur and noise, good or spoiled.
 
     Raises LSNetError when Mitsuba is needed and not installed.
     """

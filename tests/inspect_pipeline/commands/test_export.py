@@ -46,6 +46,13 @@ def test_flights_and_suffixes(
         assert len(json.loads(path.read_text())["features"]) == n_rows
 
 
+def test_rows_that_no_map_shows_are_counted(run: Callable[..., Result], tmp_path: Path) -> None:
+    path = tmp_path / "frames.geojson"
+    done = run("a.mcap", "--what", "frames", "--redact", "drop", "-o", path)
+    assert done.stdout.startswith(f"{path}: 3 rows of frames, 3 without a place; ")
+    assert [one["geometry"] for one in json.loads(path.read_text())["features"]] == [None] * 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

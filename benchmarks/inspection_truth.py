@@ -36,6 +36,8 @@ _MIN_IOU = 0.5
 _NOMINAL_M = 11.7  # height of conductors in the spans file
 _PATH_STEP_M = 0.05
 _MAX_GSD_M = 0.05  # coarser pixels show nothing, by the shipped rules
+_FAR_M = 2.0  # of a conductor from its row: farther away counts no more
+_SHIFT_COST = 0.1  # of errors of positions, for each metre
 
 
 def match(truth: FlightTruth, anomalies: list[dict[str, Any]]) -> tuple[int, Counter[str]]:
@@ -164,15 +166,22 @@ def is_judged(plan: FlightPlan, truth: FlightTruth, fault: FaultTruth, rows: dic
 
 
 def _match_conductors(plan: FlightPlan, rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """The rows of a span by the conductor of the truth that each is nearest to, errors of positions apart."""
+    """The rows of a span by the conductor of the truth that each is nearest to, errors of positions apart.
+
+    Those move all conductors alike, by as much as lets most of them agree: some may have no row.
+    """
     if not rows:
         return {}
     hung = [_hung(plan, c.conductor_id, rows[0]["span_id"]) for c in plan.line.conductors]
     true = np.array([one[:2] for one in hung])
     found = np.array([(row["across_m"], row["raised_m"]) for row in rows])
-    apart = true[:, np.newaxis] - true.mean(axis=0) - (found - found.mean(axis=0))
-    pairs = linear_sum_assignment(np.linalg.norm(apart, axis=2))
-    return {plan.line.conductors[i].conductor_id: rows[j] for i, j in zip(*pairs, strict=True)}
+    apart = true[:, np.newaxis] - found
+    shifts = apart.reshape(-1, 2)
+    away = np.minimum(np.linalg.norm(apart - shifts[:, np.newaxis, np.newaxis], axis=3), _FAR_M)
+    pairs = [linear_sum_assignment(one) for one in away]
+    totals = [one[pair].sum() for one, pair in zip(away, pairs, strict=True)]
+    best = int(np.argmin(totals + _SHIFT_COST * np.linalg.norm(shifts, axis=1)))
+    return {plan.line.conductors[i].conductor_id: rows[j] for i, j in zip(*pairs[best], strict=True)}
 
 
 def conductor_errors(plan: FlightPlan, rows: list[dict[str, Any]]) -> dict[str, list[float]]:

@@ -11,8 +11,10 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 from inspection_cases import cases_of
+from inspection_truth import conductor_errors
 
-from inspect_pipeline.simulation.options import FRAME_FAULTS, FaultKind, SchemaKind
+from inspect_pipeline.simulation.options import FRAME_FAULTS, FaultKind, SchemaKind, SimulationOptions
+from inspect_pipeline.simulation.plan import plan_flight
 
 if TYPE_CHECKING:
     from inspection_cases import Case
@@ -56,3 +58,15 @@ def test_the_values_of_each_property_come_up_evenly(monkeypatch: pytest.MonkeyPa
         assert (n_photographs == 0) == (kind in FRAME_FAULTS)
     pairs = Counter((case.options.flight, case.options.fps) for case in full(is_drawn=is_drawn))
     assert min(pairs.values()) >= 2  # no property goes with another
+
+
+def test_conductors_are_told_where_only_some_have_a_row() -> None:
+    """Those of one circuit of two, a metre beside where they hang: their heights are those of the truth."""
+    plan = plan_flight(SimulationOptions(20.0, 1.0, (360, 640), 5, n_circuits=2))
+    across_m, sag_m = 3.0, 55.0 * 0.02
+    rows = [
+        {"span_id": plan.span_id(2), "across_m": across_m + 1.0, "raised_m": height_m - 11.7, "sag_m": sag_m}
+        for height_m in (15.0, 12.8, 10.6)
+    ]
+    errors = conductor_errors(plan, rows)
+    assert errors["height_m"] == pytest.approx([0.0, 0.0, 0.0], abs=0.01)

@@ -113,11 +113,11 @@ class CameraPoses:
         )
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return the pixels (N, P, 2) and depths (N, P) in m of points (P, 3).
+        """Return the pixels (N, P, 2) and depths (N, P) in m of points (P, 3) or (N, P, 3).
 
         The pixels of points behind a camera (depth below 0) are meaningless.
         """
-        away = points[np.newaxis] - self.positions[:, np.newaxis]
+        away = points - self.positions[:, np.newaxis]
         seen = np.einsum("nij,npj->npi", self.axes, away)
         depths = seen[..., 2]
         scale = self.focal_px[:, np.newaxis] / np.where(np.abs(depths) < 1e-9, 1e-9, depths)

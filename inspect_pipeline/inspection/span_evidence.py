@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from inspect_pipeline.inspection.conductors.placing import find_mixed, place_conductors
 from inspect_pipeline.inspection.conductors.sight import look_at_span
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.spans import Span
 
 _MAX_FRAMES = 300  # of a span: more are thinned out, as neighbours show the same
+_POINTS_A_BIN = 4  # to count how much frames show
+_SMOOTHED_SHARE = 40  # of the frames, one: on each side, over which the median of that is taken
 _MAX_HIDDEN = 0.5  # of the views of a conductor, which another one spoils
 _MIN_PRESENT = 0.4  # of the votes; with fewer, and too few against it, frames disagree
 PRESENT, ABSENT, UNKNOWN = 1, 0, -1
@@ -64,13 +67,14 @@ class SpanEvidence:
         bins: its first and last one count. places: of conductors that the stretch is one of, else it is one
         of the axis. How finely a frame shows it does not matter.
         """
-        sight, stretch = self.sight, slice(bins[0], bins[-1] + 1)
-        points = [sight.points_of(place)[stretch] for place in places]
-        shown = np.isfinite(
-            visible_gsd_m(sight.cameras, np.concatenate(points or [self.axis.centres[stretch]]))
-        )
-        usable = np.flatnonzero(np.isfinite(sight.from_m) & shown.any(axis=1))
-        n_shown = shown[usable].sum(axis=1)
+        sight = self.sight
+        lines = [sight.points_of(place) for place in places] or [self.axis.centres]
+        points = np.concatenate([_along(line, bins) for line in lines])
+        shown = np.isfinite(visible_gsd_m(sight.cameras, points))
+        usable = np.flatnonzero(np.isfinite(sight.from_m))
+        n_shown = shown[usable].sum(axis=1, dtype=np.float64)
+        if not sight.is_exact:  # else errors of single poses would break a visit in pieces
+            n_shown = median_filter(n_shown, 1 + 2 * (len(usable) // _SMOOTHED_SHARE), mode="nearest")
         longest = usable[max(find_runs(n_shown >= n_shown.max() / 2, 1), key=len)]
         return np.arange(sight.rows[longest[0]], sight.rows[longest[-1]] + 1)
 
@@ -88,6 +92,13 @@ class SpanEvidence:
     def is_judged(self) -> Mask:
         """Where it is known whether conductors are present (K, B)."""
         return np.asarray(self.states != UNKNOWN)
+
+
+def _along(centres: Floats, bins: Ints) -> Floats:
+    """Return points along a line of bins with centres (B, 3), from the edge of one bin to that of another."""
+    n_points = _POINTS_A_BIN * int(bins[-1] - bins[0] + 1) + 1
+    at = np.linspace(bins[0] - 0.5, bins[-1] + 0.5, n_points)
+    return np.column_stack([np.interp(at, np.arange(len(centres)), column) for column in centres.T])
 
 
 def gather_evidence(

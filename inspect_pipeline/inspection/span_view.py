@@ -58,6 +58,10 @@ class SpanAxis:
         positions: Floats = np.arange(0.5, len(self.centres)) * self.bin_m
         return positions
 
+    def n_bins(self, length_m: float) -> int:
+        """Return how many bins are as long as a length, to the nearest one."""
+        return round(length_m / self.bin_m)
+
 
 @dataclass(frozen=True, eq=False)
 class SpanView:

@@ -1,7 +1,7 @@
-"""Rules about sag of conductors and distances between them.
+"""The conductors of a span as their lines show them, and the rule about distances between them.
 
 A view from one side hardly distinguishes a conductor that hangs lower from one that is farther away. A
-parabola over the whole span is taken as sag, any other shape as a change across.
+parabola over the whole span is taken as sag (see `sags`), any other shape as a change across.
 """
 
 from __future__ import annotations
@@ -28,14 +28,17 @@ if TYPE_CHECKING:
 
 _MAX_UNKNOWN_BINS = 3
 _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, taken as usual
+_MIN_COMPARED = 0.4  # of the span, along which the distance of two conductors must be known
+_BUNDLE_M = 0.8  # between wires of a bundle, at most
+_MOST_USUAL = 1.25  # times their distance on all spans: one may have moved away in the rest
+_LEAST_VIEWS, _FEW_AGREE = (
+    2,
+    0.25,
+)  # fewer than min_views count where they agree within a share of max_spread_m
 _MIN_APART, _MIN_APART_SD = 2.0, 4.0  # times aligned_px, or the noise: nearer conductors are not compared
 _MIN_ASIDE = 0.5  # of the distance of two conductors, as it appears: else one is nearly behind the other
 _NOISY_USUAL = 1.5  # times min_usual_m: under noise, wires of a bundle appear farther apart than they are
 _MIN_SAG_SHOWN, _MIN_JUDGED = 0.7, 0.5  # of the sag, in the part in view; of that part in metres
-_MIN_HANGING = 0.5  # of the sag: where a conductor evidently hangs lower than others
-_MEDIAN_TO_SD = 1.4826
-_MIN_SIGNIFICANCE = 3.0  # standard deviations of a difference of sag
-MIN_SAGS = 3  # conductors whose sag is compared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,13 +105,17 @@ def _distances_m(first: SpanConductor, second: SpanConductor, one: SpanEvidence,
     appear = [one.sight.appear_at(each.across_m, each.raised_m, each.sag_m)[frame, bins] for each in places]
     expected_m = np.abs(appear[0] - appear[1])
     scale_px = one.sight.scale_px[frame, bins]
-    real_m = float(
-        np.hypot(*(getattr(places[0], n) - getattr(places[1], n) for n in ("across_m", "raised_m")))
-    )
+    real_m = _places_apart_m(first.number, second.number, one)
     least_px = np.maximum(rules.anomalies["aligned_px"], _MIN_APART_SD * one.sight.noise_m * scale_px)
     apart = (expected_m * scale_px >= _MIN_APART * least_px) & (expected_m >= _MIN_ASIDE * real_m)
     ratio = np.abs(first.across_m[i] - second.across_m[j])[apart] / expected_m[apart]
     return _median_by_bin(real_m * ratio, bins[apart], n_bins, rules)
+
+
+def _places_apart_m(first: int, second: int, one: SpanEvidence) -> float:
+    """Return the distance of two conductors as they hang on all spans."""
+    a, b = one.places[first], one.places[second]
+    return float(np.hypot(a.across_m - b.across_m, a.raised_m - b.raised_m))
 
 
 def _median_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> Floats:
@@ -117,10 +124,12 @@ def _median_by_bin(across_m: Floats, bins: Ints, n_bins: int, rules: Rules) -> F
     order = np.argsort(bins, kind="stable")
     edges = np.flatnonzero(np.diff(bins[order])) + 1
     for group in np.split(order, edges) if len(order) else ():
-        if len(group) < rules.of("conductors_converging")["min_views"]:
+        if len(group) < _LEAST_VIEWS:
             continue
         low, middle, high = np.quantile(across_m[group], (0.1, 0.5, 0.9))
-        if high - low <= rules.of("conductors_converging")["max_spread_m"]:
+        limits = rules.of("conductors_converging")
+        is_few = len(group) < limits["min_views"]
+        if high - low <= limits["max_spread_m"] * (_FEW_AGREE if is_few else 1.0):
             medians[bins[group[0]]] = middle
     return medians
 
@@ -134,7 +143,7 @@ def find_converging(
         _to_finding(one, approach, (first, second), origin)
         for i, first in enumerate(told_apart)
         for second in told_apart[i + 1 :]
-        for approach in _approaches(_distances_m(first, second, one, rules), one, rules)
+        for approach in _approaches(first, second, one, rules)
     ]
     # A conductor that moves towards its neighbour also approaches those behind it.
     if found:
@@ -142,7 +151,15 @@ def find_converging(
 
 
 def _is_judged(one: SpanEvidence, conductor: SpanConductor) -> bool:
-    """Return whether a conductor is judged along most of where lines of it are."""
+    """Return whether a conductor is judged along most of where lines of it are.
+
+    With errors of poses, the wires of a bundle are mixed up here and there.
+    """
+    apart_m = [
+        _places_apart_m(conductor.number, k, one) for k in range(len(one.places)) if k != conductor.number
+    ]
+    if not one.sight.is_exact and min(apart_m, default=np.inf) < _BUNDLE_M:
+        return False
     bins = np.unique(conductor.keys % len(one.axis.centres))
     return bool(one.is_judged[conductor.number, bins].mean() >= _MIN_JUDGED)
 
@@ -156,17 +173,21 @@ class _Approach(NamedTuple):
     usual_m: float
 
 
-def _approaches(apart_m: Floats, one: SpanEvidence, rules: Rules) -> Iterator[_Approach]:
-    """Yield the stretches in which distances (B,) are much less than usual."""
+def _approaches(
+    first: SpanConductor, second: SpanConductor, one: SpanEvidence, rules: Rules
+) -> Iterator[_Approach]:
+    """Yield the stretches in which two conductors are much closer than usual."""
     limits, bin_m = rules.of("conductors_converging"), one.axis.bin_m
+    apart_m = _distances_m(first, second, one, rules)
+    most_m = _MOST_USUAL * _places_apart_m(first.number, second.number, one)
     for known in _smooth_runs(apart_m, limits["max_slope"] * bin_m):
-        if len(known) * bin_m < 2 * limits["min_length_m"]:
+        if len(known) < one.axis.n_bins(2 * limits["min_length_m"]):
             continue
-        usual_m = float(np.quantile(apart_m[known], _USUAL_QUANTILE))
+        usual_m = min(float(np.quantile(apart_m[known], _USUAL_QUANTILE)), most_m)
         limit_m = limits["max_share"] * usual_m
         least_m = limits["min_usual_m"] * (1.0 if one.sight.is_exact else _NOISY_USUAL)
         is_near = (apart_m[known] < limit_m) & (usual_m >= least_m)
-        for run in find_runs(is_near, limits["min_length_m"] / bin_m):
+        for run in find_runs(is_near, one.axis.n_bins(limits["min_length_m"])):
             yield _Approach(known[run], float(apart_m[known[run]].min()), limit_m, usual_m)
 
 
@@ -197,57 +218,17 @@ def _to_finding(
     )
 
 
-def measured_fits(conductors: Sequence[SpanConductor], rules: Rules) -> list[tuple[int, int, ConductorFit]]:
-    """Return numbers, tracks and fits of the conductors whose sag is known well enough to be compared."""
-    most_m = rules.of("sag_change")["min_difference_m"] / 2
-    fits = [(one.number, one.track, one.fit) for one in conductors if one.fit and one.fit.sd[2] <= most_m]
-    return fits if len(fits) >= MIN_SAGS else []
-
-
-def find_sag_changes(
-    one: SpanEvidence, conductors: Sequence[SpanConductor], origin: LocalMetres, rules: Rules
-) -> Iterator[Finding]:
-    """Find the conductor whose sag differs most from the median of the span."""
-    limits = rules.of("sag_change")
-    measured = measured_fits(conductors, rules)
-    if not measured:
-        return
-    usual_m = float(np.median([fit.place.sag_m for *_, fit in measured]))
-    fitted = measured
-    if one.sight.is_exact:  # the sag of one that hangs much lower need not be known as well
-        fitted = [(each.number, each.track, each.fit) for each in conductors if each.fit]
-    number, track, outlier = max(
-        fitted, key=lambda each: abs(each[-1].place.sag_m - usual_m) - each[-1].sd[2]
-    )
-    difference_m = outlier.place.sag_m - usual_m
-    spread_m = float(np.median([abs(fit.place.sag_m - usual_m) for *_, fit in measured])) * _MEDIAN_TO_SD
-    limit_m = max(limits["min_difference_m"], _MIN_SIGNIFICANCE * max(outlier.sd[2], spread_m))
-    if abs(difference_m) < limit_m or outlier.misfit_m > limits["max_misfit_m"]:
-        return
-    word = "lower" if difference_m > 0 else "higher"
-    bins = np.flatnonzero(one.sight.parabola > _MIN_HANGING)
-    if len(bins):
-        yield Finding(
-            "sag_change",
-            one.rows_showing(bins, [outlier.place]),
-            f"a conductor hangs {abs(difference_m):.1f} m {word} than the others of span {one.axis.span_id}",
-            abs(difference_m),
-            limit_m,
-            "m",
-            track_id=track,
-            span_id=one.axis.span_id,
-            place=one.place(bins, origin),
-            conductors=(number,),
-        )
-
-
 def compared_share(one: SpanEvidence, conductors: Sequence[SpanConductor], rules: Rules) -> Floats:
-    """Return the share (B,) of neighbouring conductors whose distance is known along a stretch."""
+    """Return the share (B,) of neighbouring conductors whose distance is known along a stretch.
+
+    In a shorter one, they may be near each other all along: nobody knows what is usual.
+    """
     n_bins, limits = len(one.axis.centres), rules.of("conductors_converging")
+    least_m = max(2 * limits["min_length_m"], _MIN_COMPARED * one.axis.length_m)
     compared = np.zeros(n_bins)
     for first, second in pairwise(each for each in conductors if _is_judged(one, each)):
         apart_m = _distances_m(first, second, one, rules)
         for known in _smooth_runs(apart_m, limits["max_slope"] * one.axis.bin_m):
-            if len(known) * one.axis.bin_m >= 2 * limits["min_length_m"]:
+            if len(known) >= one.axis.n_bins(least_m):
                 compared[known[0] : known[-1] + 1] += 1
     return compared / max(len(one.places) - 1, 1)

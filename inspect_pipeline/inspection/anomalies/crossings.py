@@ -32,7 +32,13 @@ _AWAY_SD = 1.5  # times the errors of positions: so much farther away they may b
 _MIN_LENGTH_M, _MAX_RANGE_M = 1.0, 80.0
 _MAX_PIECES = 600
 _MOSTLY = 0.5  # of the lines of a track
+_NEAR_FRAMES = 2
+_MOST_ROWS = 1 << 32
 _MAX_MISSED_M, _MAX_BEYOND_M = 1.0, 1.5  # an attachment: beside it, and beyond it, of what begins there
+_NEARER_M = np.array([-0.75, -0.5, -0.25, 0.25, 0.5, 0.75])
+_ENDS, _N_POINTS = 0.05, 41  # of a line: frames that disagree about its ends; points along it
+_MIN_VISIBLE_SHARE = 0.35  # of the frames that show some of it
+_SHOWN_SHARE = 0.1  # of the most that a frame shows of it
 _SHOWN_M = np.array([-2.0, 0.0, 2.0])  # from the middle of a line: points that a frame should show
 
 
@@ -40,13 +46,14 @@ _SHOWN_M = np.array([-2.0, 0.0, 2.0])  # from the middle of a line: points that 
 class _Pieces:
     """Lines across a span on a plane at a height.
 
-    frame (M,), middle (M, 2) in metres along and across, direction (M, 2), track (M,).
+    frame (M,), middle (M, 2) in metres along and across, direction (M, 2), half_m (M,) of length, track (M,).
     """
 
     height_m: float
     frame: Ints
     middle: Floats
     direction: Floats
+    half_m: Floats
     track: Ints
 
     @property
@@ -60,6 +67,7 @@ class _Pieces:
             self.frame[chosen],
             self.middle[chosen],
             self.direction[chosen],
+            self.half_m[chosen],
             self.track[chosen],
         )
 
@@ -72,18 +80,16 @@ def find_crossings_of_span(
     others: further spans, whose conductors are no such lines.
     """
     limits = rules.of("crossing_line")
-    heights = np.arange(one.axis.ground_m.min(), one.axis.height_m + _HEIGHT_STEP_M / 2, _HEIGHT_STEP_M)
-    sight = _without_spans(one, others)
-    planes = [_project(sight, height_m, rules) for height_m in heights.tolist()]
-    found = _most_alike(planes, one.sight.shift_sd_m)
+    found = _find_alike(one, _without_spans(one, others), rules)
     if found is None:
         return
     hits = np.unique(found.frame)
     visible, should = _frames_showing(one.sight, found, rules)
-    if len(hits) < limits["min_frames"] or should[hits].sum() < limits["min_share"] * should.sum():
+    is_rare = should[hits].sum() < limits["min_share"] * should.sum()
+    if len(hits) < limits["min_frames"] or is_rare or len(hits) < _MIN_VISIBLE_SHARE * visible.sum():
         return
     visible[hits] = True
-    visits = [np.intersect1d(run, hits) for run in find_runs(visible, 1)]
+    visits = [run for run in find_runs(visible, 1) if np.isin(run, hits).any()]
     rows = max(visits, key=len)
     angle_deg = float(np.median(found.angle_deg))
     place = one.axis.start + np.median(_on_axis(found)) * one.axis.along
@@ -101,22 +107,51 @@ def find_crossings_of_span(
     )
 
 
+def _find_alike(one: SpanEvidence, sight: SpanSight, rules: Rules) -> _Pieces | None:
+    """Return the most lines across a span that coincide at some height, None without any.
+
+    From opposite sides they coincide only near their own height: that is looked for more closely then.
+    """
+    best: _Pieces | None = None
+    heights = np.arange(one.axis.ground_m.min(), one.axis.height_m + _HEIGHT_STEP_M / 2, _HEIGHT_STEP_M)
+    for _ in range(2):
+        planes = [_project(sight, height_m, rules) for height_m in heights.tolist()]
+        best = _most_alike([best, *planes] if best else planes, one.sight.shift_sd_m)
+        if best is None:
+            break
+        heights = best.height_m + _NEARER_M
+    return best
+
+
 def _without_spans(one: SpanEvidence, others: Sequence[SpanEvidence]) -> SpanSight:
     """Return the sight of a span without lines along others, and those that begin at its structures."""
     lines = one.sight.lines
-    tracks = [_tracks_along(other) for other in others if other is not one]
-    is_other = np.isin(lines.track, np.concatenate(tracks)) if tracks else np.zeros(len(lines), bool)
+    known = [_lines_along(other) for other in others if other is not one]
+    is_other = np.isin(_keys(one, np.arange(len(lines))), np.concatenate([np.zeros(0, np.int64), *known]))
     is_other |= _begins_at_structure(one)
     return replace(one.sight, lines=lines.take(np.flatnonzero(~is_other)))
 
 
-def _tracks_along(one: SpanEvidence) -> Ints:
-    """Return the tracks of which most lines are those of a conductor of the span."""
+def _lines_along(one: SpanEvidence) -> Ints:
+    """Return the keys of lines along a span, and of those of their tracks a few frames before and after.
+
+    Their tracks are those of which most lines are of a conductor of the span. Other frames say nothing: a
+    track may change from one conductor to another.
+    """
     if one.votes is None:
         return np.zeros(0, np.int64)
-    tracks, inverse, counts = np.unique(one.sight.lines.track, return_inverse=True, return_counts=True)
-    n_owned = np.bincount(inverse, one.votes.owner != NO_CONDUCTOR, len(tracks))
-    return np.asarray(tracks[n_owned > _MOSTLY * counts])
+    lines, is_owned = one.sight.lines, one.votes.owner != NO_CONDUCTOR
+    tracks, inverse, counts = np.unique(lines.track, return_inverse=True, return_counts=True)
+    is_along = np.bincount(inverse, is_owned, len(tracks)) > _MOSTLY * counts
+    is_shown = np.bincount(one.sight.view.line, minlength=len(lines)) > 0
+    keys = _keys(one, np.flatnonzero(is_along[inverse] & is_owned & is_shown))
+    return np.unique(np.add.outer(np.arange(-_NEAR_FRAMES, _NEAR_FRAMES + 1), keys))
+
+
+def _keys(one: SpanEvidence, lines: Ints) -> Ints:
+    """Return numbers of lines by their track and frame; those of frames in a row are consecutive."""
+    rows = one.sight.rows[one.sight.lines.frame[lines]]
+    return np.asarray(one.sight.lines.track[lines] * _MOST_ROWS + rows)
 
 
 def _begins_at_structure(one: SpanEvidence) -> Mask:
@@ -165,9 +200,8 @@ def _project(sight: SpanSight, height_m: float, rules: Rules) -> _Pieces:
     runs = end - begin
     length_m = np.linalg.norm(runs, axis=1)
     with np.errstate(invalid="ignore"):
-        pieces = _Pieces(
-            height_m, lines.frame, (begin + end) / 2, runs / length_m[:, np.newaxis], lines.track
-        )
+        directions = runs / length_m[:, np.newaxis]
+        pieces = _Pieces(height_m, lines.frame, (begin + end) / 2, directions, length_m / 2, lines.track)
         nearest_m = np.where(begin[:, 1] * end[:, 1] < 0, 0.0, np.abs(ends[:, 1]).reshape(-1, 2).min(axis=1))
         on_axis = _on_axis(pieces)
         across = (
@@ -211,11 +245,17 @@ def _most_common(tracks: Ints) -> int:
 
 
 def _frames_showing(sight: SpanSight, found: _Pieces, rules: Rules) -> tuple[Mask, Mask]:
-    """Return which frames (N,) show any of a found line, and which enough that its line should be found."""
+    """Return which frames (N,) show some of a found line, and which enough that its line should be found."""
     doubled = np.exp(2j * np.arctan2(found.direction[:, 1], found.direction[:, 0])).mean()
     turn = np.angle(doubled) / 2
-    middle = np.median(found.middle, axis=0) + _SHOWN_M[:, np.newaxis] * (np.cos(turn), np.sin(turn))
-    ground = sight.axis.start + middle @ np.stack((sight.axis.along, sight.axis.across))
+    along, middle = np.array((np.cos(turn), np.sin(turn))), np.median(found.middle, axis=0)
+    centre_m = (found.middle - middle) @ along
+    ends = np.quantile(centre_m - found.half_m, _ENDS), np.quantile(centre_m + found.half_m, 1 - _ENDS)
+    away_m = np.concatenate((_SHOWN_M, np.linspace(*ends, _N_POINTS)))
+    places = middle + away_m[:, np.newaxis] * along
+    ground = sight.axis.start + places @ np.stack((sight.axis.along, sight.axis.across))
     points = np.column_stack((ground, np.full(len(ground), found.height_m)))
     shown = np.isfinite(visible_gsd_m(sight.cameras, points, rules.anomalies["margin_px"]))
-    return np.asarray(shown.any(axis=1)), np.asarray(shown.all(axis=1))
+    n_shown = shown[:, len(_SHOWN_M) :].sum(axis=1)
+    is_shown = n_shown > _SHOWN_SHARE * n_shown.max()
+    return np.asarray(is_shown), np.asarray(shown[:, : len(_SHOWN_M)].all(axis=1))

@@ -17,12 +17,13 @@ from inspect_pipeline.inspection.poses import camera_poses, find_origin
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from inspect_pipeline.arrays import Floats, Mask
+    from inspect_pipeline.arrays import Floats, Ints, Mask
     from inspect_pipeline.geometry.camera import CameraPoses
     from inspect_pipeline.inspection.rows import CameraRows, FrameQuality
     from inspect_pipeline.inspection.rules import Rules
 
 _SAME_OFFSET, _SAME_ANGLE_DEG = 0.03, 4.0  # between a rotated line and its match; of the longer image side
+_MAX_SHIFT = 0.15  # of all lines of a frame, by errors of positions; of the longer image side
 _MAX_PAUSE_FRAMES = 2
 _MIN_DEPTH_M = 0.5
 _FAR_M = 1e4  # of lines that are not below the camera: only its turns move them
@@ -82,23 +83,29 @@ def _normal_form(chords: Floats, size: Floats) -> tuple[Floats, Floats]:
 def _best_turn(
     first: tuple[Floats, Floats], second: tuple[Floats, Floats], longer_px: float
 ) -> tuple[float, int, int]:
-    """Return the rotation in degrees of most lines, their number, and the number of lines that stay."""
+    """Return the rotation in degrees of most lines, their number, and the number of lines that stay.
+
+    Errors of positions shift all lines of a frame alike, whether they rotate or stay.
+    """
     (offsets, angles), (next_offsets, next_angles) = first, second
     turns = (next_angles[np.newaxis] - angles[:, np.newaxis] + 90) % 180 - 90
     # The offset of a line that rotates past 180 degrees changes its sign.
     wraps = np.round((angles[:, np.newaxis] + turns - next_angles[np.newaxis]) / 180).astype(int) % 2
-    away = np.abs(offsets[:, np.newaxis] - np.where(wraps == 1, -1, 1) * next_offsets[np.newaxis])
-    near = away <= _SAME_OFFSET * longer_px
-    candidates = turns[near]
-    if not len(candidates):
+    away = next_offsets[np.newaxis] - np.where(wraps == 1, -1, 1) * offsets[:, np.newaxis]
+    is_near = np.abs(away) <= _MAX_SHIFT * longer_px
+    if not is_near.any():
         return 0.0, 0, 0
-    agree = np.abs(candidates[:, np.newaxis] - candidates[np.newaxis]) <= _SAME_ANGLE_DEG
-    best = int(np.argmax(agree.sum(axis=1)))
-    turn_deg = float(np.median(candidates[agree[best]]))
-    return turn_deg, _count_pairs(near, turns, turn_deg), _count_pairs(near, turns, 0.0)
+    radians = np.radians(next_angles)
+    normals = np.column_stack((np.sin(radians), -np.cos(radians)))
+    shifts = (away[..., np.newaxis] * normals)[is_near]
+    left = np.abs(away - np.append(np.zeros((1, 2)), shifts, axis=0)[:, np.newaxis] @ normals.T)
+    same = left <= _SAME_OFFSET * longer_px  # (1 + P, M, N), the first without a shift
+    of_turn = [_count_pairs(same, turns, turn_deg).max() for turn_deg in turns[is_near]]
+    best = float(turns[is_near][int(np.argmax(of_turn))])
+    return best, int(max(of_turn)), int(_count_pairs(same, turns, 0.0).max())
 
 
-def _count_pairs(near: Mask, turns: Floats, turn_deg: float) -> int:
-    """Count the lines of one frame that have a match in the other after a rotation."""
-    fits = near & (np.abs(turns - turn_deg) <= _SAME_ANGLE_DEG)
-    return int(min(fits.any(axis=0).sum(), fits.any(axis=1).sum()))
+def _count_pairs(same: Mask, turns: Floats, turn_deg: float) -> Ints:
+    """Count the lines of one frame that have a match in the other after a rotation, for each shift."""
+    fits = same & (np.abs(turns - turn_deg) <= _SAME_ANGLE_DEG)
+    return np.asarray(np.minimum(fits.any(axis=1).sum(axis=1), fits.any(axis=2).sum(axis=1)))

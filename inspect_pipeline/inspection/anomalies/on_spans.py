@@ -10,13 +10,13 @@ import numpy as np
 from inspect_pipeline.inspection.anomalies.conductors import (
     compared_share,
     find_converging,
-    find_sag_changes,
     measure_conductors,
-    measured_fits,
 )
 from inspect_pipeline.inspection.anomalies.crossings import find_crossings_of_span
 from inspect_pipeline.inspection.anomalies.hidden import hides_none
+from inspect_pipeline.inspection.anomalies.sags import find_sag_changes, measured_fits
 from inspect_pipeline.inspection.anomalies.spans import (
+    count_places,
     doubt_rare,
     find_count_changes,
     inner_bins,
@@ -76,10 +76,9 @@ def find_on_spans(
         known = {number for finding in moved for number in finding.conductors}
         findings += moved
         findings += find_crossings_of_span(one, evidence, origin, rules)
-        if expected:
-            found = find_count_changes(one, expected, origin, rules)
-            findings += [each for each in found if not known.intersection(each.conductors)]
-        outcomes.append(_outcomes(one, expected, conductors, rules))
+        found = list(find_count_changes(one, expected, origin, rules)) if expected else []
+        findings += [each for each in found if not known.intersection(each.conductors)]
+        outcomes.append(_outcomes(one, expected, conductors, found, rules))
         fits = {each.number: each.fit for each in conductors}
         rows += conductor_rows(channel_id, one, [fits.get(k) for k in range(len(one.places))])
     return ConductorFindings(findings, outcomes, rows)
@@ -91,9 +90,16 @@ def _are_all_placed(one: SpanEvidence, expected: int) -> bool:
 
 
 def _outcomes(
-    one: SpanEvidence, expected: int, conductors: Sequence[SpanConductor], rules: Rules
+    one: SpanEvidence,
+    expected: int,
+    conductors: Sequence[SpanConductor],
+    found: Sequence[Finding],
+    rules: Rules,
 ) -> SpanOutcomes:
-    """Return the outcome of each bin by each rule. Bins next to structures have that of the nearest other."""
+    """Return the outcome of each bin by each rule. Bins next to structures have that of the nearest other.
+
+    found: findings about the number of conductors.
+    """
     shares = _count_outcomes(one, expected)
     inner = np.flatnonzero(inner_bins(one, rules))
     if len(inner):
@@ -102,8 +108,13 @@ def _outcomes(
     if len(one.places) < expected and not len(missing_conductors(one, rules)) and not hides_none(one, rules):
         # One that no span shows: missing everywhere, or always behind another.
         counted = _move(shares, JUDGED, ALIGNED)
+    if count_places(one, expected) > expected and not found:
+        # One place is that of no conductor: what is missing there may be nothing.
+        shares = counted = _move(shares, JUDGED, ALIGNED)
     compared = compared_share(one, conductors, rules) * _are_all_placed(one, expected)
-    has_sag = np.full(len(shares), len(measured_fits(conductors, rules)) / max(len(one.places), expected, 1))
+    has_sag = np.full(
+        len(shares), len(measured_fits(one, conductors, rules)) / max(len(one.places), expected, 1)
+    )
     return SpanOutcomes(
         one.axis,
         {

@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 
 
 _TRACK_START_FRAMES = 5  # until all lines of a new view have their tracks
-_MIN_END_SEEN = 0.5  # of the weight of a good view
+_MIN_AGREEING = 0.75  # of the bins that a frame votes on: with what all frames say
+_OFTEN = 2.0  # times min_support: of a gap that errors of positions hardly make
+_LONG = 2.0  # times the least length: ends of a shorter stretch must be seen in more frames
+_MIN_END_SEEN = 0.5  # of the weight of a good view, with exact poses; else min_support
+_MAX_ALL_SEEN = 0.2  # of what frames show without a conductor: with all lines, one of them a false one
+_MAX_WITH_LINE = 0.3  # of the frames with a line of other conductors: those with one of a missing one
 _MIN_PRESENT_SHARE = 0.3  # of what is known of a conductor, from which on a span has it
 
 
@@ -51,17 +56,39 @@ def inner_bins(one: SpanEvidence, rules: Rules) -> Mask:
 
 def missing_conductors(one: SpanEvidence, rules: Rules) -> Ints:
     """Return the conductors that other spans of the flight have and this one lacks nearly all along."""
+    absent = np.setdiff1d(_absent(one, rules), _in_frames(one))
+    return absent[[not _is_seen_ending(one, number, rules) for number in absent.tolist()]]
+
+
+def _is_seen_ending(one: SpanEvidence, number: int, rules: Rules) -> bool:
+    """Return whether a conductor is present somewhere, and frames show where it ends."""
+    states = np.where(inner_bins(one, rules), one.states[number], UNKNOWN)
+    seen = _times_seen_ending(one, number, np.flatnonzero(states == ABSENT))
+    return bool(np.any(states == PRESENT)) and seen >= rules.anomalies["min_support"]
+
+
+def _absent(one: SpanEvidence, rules: Rules) -> Ints:
+    """Return the conductors that are absent nearly wherever it is known of them."""
     limits, inner = rules.of("conductor_count"), inner_bins(one, rules)
     states = one.states[:, inner]
     n_known, n_absent = (states != UNKNOWN).sum(axis=1), (states == ABSENT).sum(axis=1)
-    is_long = n_known * one.axis.bin_m >= limits["min_length_m"]
+    is_long = n_known >= one.axis.n_bins(limits["min_length_m"])
     return np.flatnonzero(is_long & (n_absent >= limits["min_share"] * n_known))
+
+
+def _in_frames(one: SpanEvidence) -> Ints:
+    """Return the conductors of which many frames have a line, compared with the others of the span."""
+    if one.votes is None:
+        return np.zeros(0, np.int64)
+    n_frames = one.votes.in_frame.sum(axis=0)
+    return np.flatnonzero(n_frames > _MAX_WITH_LINE * np.median(n_frames))
 
 
 def doubt_rare(evidence: Sequence[SpanEvidence], rules: Rules) -> list[SpanEvidence]:
     """Return the evidence without what it says of conductors that more spans lack than have.
 
-    Such a place is more likely a mistake than a conductor.
+    Such a place is more likely a mistake than a conductor. So is one that a span lacks where it is known of,
+    while many of its frames have a line of it: that is elsewhere than thought.
     """
     missing = Counter(number for one in evidence for number in missing_conductors(one, rules).tolist())
     present = Counter(
@@ -72,6 +99,7 @@ def doubt_rare(evidence: Sequence[SpanEvidence], rules: Rules) -> list[SpanEvide
     for one in evidence:
         states = one.states.copy()
         states[[number for number in rare if number < len(states)]] = UNKNOWN
+        states[np.intersect1d(_absent(one, rules), _in_frames(one))] = UNKNOWN
         doubted.append(replace(one, states=states))
     return doubted
 
@@ -81,7 +109,8 @@ def find_count_changes(
 ) -> Iterator[Finding]:
     """Find missing conductors, further ones, and those that end or are interrupted within the span."""
     missing = missing_conductors(one, rules)
-    n_left = _count_places(one, expected) - len(missing)
+    missing = missing[[not _are_all_seen(one, number, expected) for number in missing.tolist()]]
+    n_left = count_places(one, expected) - len(missing)
     known = np.flatnonzero(inner_bins(one, rules) & one.is_judged.any(axis=0))
     if len(missing) and n_left < expected:
         bins = np.flatnonzero((one.states[missing] == ABSENT).any(axis=0))
@@ -92,15 +121,26 @@ def find_count_changes(
         n_present = one.is_present[:, known].sum(axis=0)
         is_more = n_present > expected
         limits = rules.of("conductor_count")
-        if is_more.mean() >= limits["min_share"] and is_more.sum() * one.axis.bin_m >= limits["min_length_m"]:
+        is_long = is_more.sum() >= one.axis.n_bins(limits["min_length_m"])
+        if is_long and is_more.mean() >= limits["min_share"]:
             level = int(np.median(n_present[is_more]))
             yield _count_finding(one, known[is_more], (level, expected), origin)
     for number in np.setdiff1d(np.arange(len(one.places)), missing).tolist():
         yield from _find_deficits(one, number, expected, origin, rules)
 
 
-def _count_places(one: SpanEvidence, expected: int) -> int:
-    """Return how many conductors the places of a span are of.
+def _are_all_seen(one: SpanEvidence, number: int, expected: int) -> bool:
+    """Return whether frames often have as many lines as expected where one conductor is absent."""
+    if one.votes is None:
+        return False
+    view, lacks = one.sight.view, one.votes.against[:, number] > 0
+    n_lines = np.zeros(lacks.shape, np.int64)
+    np.add.at(n_lines, (view.frame, view.bin), 1)
+    return bool(lacks.any() and np.mean(n_lines[lacks] >= expected) > _MAX_ALL_SEEN)
+
+
+def count_places(one: SpanEvidence, expected: int) -> int:
+    """Return how many conductors the places of a span are of, as far as that is understood.
 
     One more than expected is of wires that frames mix up, if there are such. Still more are not understood.
     """
@@ -114,18 +154,23 @@ def _find_deficits(
     """Find where a conductor ends within the span (lost) or is interrupted (gap)."""
     bin_m, span_id, states = one.axis.bin_m, one.axis.span_id, one.states[number]
     known = np.flatnonzero(inner_bins(one, rules) & (states != UNKNOWN))
-    at_most = _count_places(one, expected) - (one.states == ABSENT).sum(axis=0)
+    if not np.any(states[known] == PRESENT):
+        return  # it ends nowhere
+    at_most = count_places(one, expected) - (one.states == ABSENT).sum(axis=0)
     lacking = (states[known] == ABSENT) & (at_most[known] < expected)
     for run in find_runs(_close_gaps(lacking, rules.anomalies["bridged_m"] / bin_m), 1):
         bins, length_m = known[run], len(run) * bin_m
-        is_at_end = run[0] == 0 or run[-1] == len(known) - 1
-        if _times_seen_ending(one, number, bins) < _MIN_END_SEEN:
+        is_at_end = bool(run[0] == 0 or run[-1] == len(known) - 1) and not _goes_on(one, number, bins, rules)
+        seen = _times_seen_ending(one, number, bins)
+        if seen < (rules.anomalies["min_support"] if one.sight.widened_bins else _MIN_END_SEEN):
             continue
         if is_at_end and not _is_end_certain(one, number, bins, rules):
             continue
         kind = "conductor_lost" if is_at_end else "conductor_gap"
-        limit_m = rules.of(kind)["min_length_m"] + one.sight.widened_bins * bin_m
-        if length_m < limit_m:
+        limit_m = rules.of(kind)["min_length_m"]
+        if seen < _OFTEN * rules.anomalies["min_support"]:
+            limit_m += one.sight.widened_bins * bin_m  # less of what many frames show is due to errors
+        if len(run) < one.axis.n_bins(limit_m):
             continue
         start_m = one.axis.bins_m[bins[0]] - bin_m / 2
         level = int(np.median(at_most[bins]))
@@ -144,6 +189,16 @@ def _find_deficits(
         )
 
 
+def _goes_on(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
+    """Return whether some frames have a conductor on both sides of a stretch, if not enough to be sure."""
+    if one.votes is None:
+        return False
+    in_favour = (one.votes.weight - one.votes.against)[:, number].sum(axis=0) >= rules.anomalies[
+        "min_support"
+    ]
+    return bool(in_favour[: bins[0]].any() and in_favour[bins[-1] + 1 :].any())
+
+
 def _whole(one: SpanEvidence, bins: Ints, known: Ints) -> Ints:
     """Return the first and last bin of what is missing: up to the structure if no more is known."""
     first = 0 if bins[0] == known[0] else bins[0]
@@ -154,12 +209,16 @@ def _whole(one: SpanEvidence, bins: Ints, known: Ints) -> Ints:
 def _times_seen_ending(one: SpanEvidence, number: int, bins: Ints) -> float:
     """Return the weight of frames that show that a conductor is absent there, and a line of it elsewhere.
 
-    Other frames may all have missed its line.
+    Other frames may all have missed its line. Those that lack it where most have it may have a false one.
     """
     if one.votes is None:
         return 0.0
     in_frame = one.votes.in_frame[:, number]
-    return float(one.votes.against[in_frame, number][:, bins].sum(axis=0).max(initial=0.0))
+    weight, against = one.votes.weight[in_frame, number], one.votes.against[in_frame, number]
+    counts = (weight > 0) & (one.states[number] != UNKNOWN)
+    agrees = counts & ((against > 0) == (one.states[number] == ABSENT))
+    is_sound = agrees.sum(axis=1) >= _MIN_AGREEING * counts.sum(axis=1)
+    return float(against[is_sound][:, bins].sum(axis=0).max(initial=0.0))
 
 
 def _close_gaps(mask: Mask, longest: float) -> Mask:
@@ -172,11 +231,16 @@ def _close_gaps(mask: Mask, longest: float) -> Mask:
 
 
 def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
-    """Return whether bins reach a structure, or lines had their tracks when the bins came into view.
+    """Return whether frames show where a conductor ends while others go on, or for long what is beyond.
 
-    Where a flight starts within a span, lines without a track yet look like missing ones. There frames must
-    show where it ends.
+    A long stretch is one that reaches a structure, or had lines with tracks when it came into view. Where a
+    flight starts within a span, lines without a track yet look like missing ones.
     """
+    is_seen = _times_seen_ending(one, number, bins) >= rules.anomalies["min_support"]
+    if len(bins) < one.axis.n_bins(_LONG * rules.of("conductor_lost")["min_length_m"]):
+        return is_seen and bool(one.is_present[:, bins].any(axis=0).all())
+    if is_seen:
+        return True
     along_m, near_m = one.axis.bins_m[bins], 2 * rules.anomalies["margin_m"]
     if along_m[0] <= near_m or along_m[-1] >= one.axis.length_m - near_m:
         return True
@@ -184,8 +248,7 @@ def _is_end_certain(one: SpanEvidence, number: int, bins: Ints, rules: Rules) ->
         return False
     weight = one.votes.weight[:, number]
     first, first_here = (np.flatnonzero(mask.any(axis=1))[0] for mask in (weight, weight[:, bins]))
-    is_late = first_here - first >= _TRACK_START_FRAMES
-    return bool(is_late or _times_seen_ending(one, number, bins) >= rules.anomalies["min_support"])
+    return bool(first_here - first >= _TRACK_START_FRAMES)
 
 
 def _count_finding(

@@ -6,14 +6,13 @@ another conductor appears within a few pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d
 
 from inspect_pipeline.inspection.conductors.matching import NO_CONDUCTOR, appear, near_m, own_lines
-from inspect_pipeline.inspection.span_view import visible_gsd_m
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 _APART = 1.2  # times what is near a conductor's place: nearer conductors say nothing of each other
 _ALONE = 1.7  # times that: of conductors nearer than this, the other must have a line in the frame
 _MISSED_WEIGHT = 0.5  # of a frame in which a conductor was found nowhere: it may have been missed
-# By so much more or less conductors may be raised, where cameras had to be corrected, and lie farther along.
-_OPEN_M, _OPEN_BINS = 0.5, 1
 _MIN_DEPTH_M = 0.5  # of conductors below the camera
 _MIN_FOUND = 0.5  # of the conductors that a frame shows; others of poor detection or pose say nothing
 
@@ -52,7 +49,7 @@ def count_votes(sight: SpanSight, places: Sequence[Place], rules: Rules) -> Vote
     """Return the votes of all frames on conductors at known places."""
     appears = appear(sight, places)  # (N, K, B)
     owner = own_lines(sight, appears)
-    bins, is_shown = _shown_bins(sight, places, rules)
+    bins, is_shown = _shown_bins(sight, places, appears, rules)
     crossed = _find_crossings(sight, appears, owner)
     found, apart = (
         np.take_along_axis(mask, bins, axis=2)
@@ -94,26 +91,23 @@ def _find_crossings(sight: SpanSight, appears: Floats, owner: Ints) -> Mask:
     return found
 
 
-def _shown_bins(sight: SpanSight, places: Sequence[Place], rules: Rules) -> tuple[Ints, Mask]:
-    """Return in which bin (N, K, B) each bin of a conductor appears, and whether a frame surely shows it.
+def _shown_bins(
+    sight: SpanSight, places: Sequence[Place], appears: Floats, rules: Rules
+) -> tuple[Ints, Mask]:
+    """Return in which bin (N, K, B) each bin of a conductor appears, and whether a frame shows it.
 
-    A conductor above or below the nominal height appears nearer or farther along than it is. Where errors of
-    poses leave its height open, the ends of what a frame shows are left out.
+    A conductor above or below the nominal height appears nearer or farther along than it is.
     """
     axis = sight.axis
-    bins = np.zeros((len(sight.rows), len(places), len(axis.centres)), np.int64)
+    bins = np.zeros(appears.shape, np.int64)
     shown = np.zeros(bins.shape, bool)
-    open_m = _OPEN_M if sight.widened_bins else 0.0
+    is_in_view = np.isfinite(sight.view.gsd_m)
     for k, place in enumerate(places):
-        lifted_m = place.raised_m - place.sag_m * sight.parabola
-        number = _appear_in(sight, lifted_m)
+        number = _appear_in(sight, place.raised_m - place.sag_m * sight.parabola)
         is_inside = (number >= 0) & (number < len(axis.centres))
         bins[:, k] = np.clip(number, 0, len(axis.centres) - 1)
-        raised = [place.raised_m + off_m for off_m in ((-open_m, open_m) if open_m else (0.0,))]
-        visible = [_is_visible(sight, replace(place, raised_m=each_m), rules) for each_m in raised]
-        shown[:, k] = is_inside & np.all(visible, axis=0)
-    if sight.widened_bins:
-        shown = minimum_filter1d(shown, 2 * _OPEN_BINS + 1, axis=2, mode="nearest")
+        is_visible = is_in_view & _is_visible(sight, appears[:, k], rules.anomalies["margin_px"])
+        shown[:, k] = is_inside & np.take_along_axis(is_visible, bins[:, k], axis=1)
     return bins, shown
 
 
@@ -126,9 +120,20 @@ def _appear_in(sight: SpanSight, lifted_m: Floats) -> Ints:
         return np.nan_to_num(np.round(along_m / axis.bin_m - 0.5), nan=-1.0).astype(np.int64)
 
 
-def _is_visible(sight: SpanSight, place: Place, rules: Rules) -> Mask:
-    """Return where (N, B) a frame shows a conductor, not next to the border of its image."""
-    return np.isfinite(visible_gsd_m(sight.cameras, sight.points_of(place), rules.anomalies["margin_px"]))
+def _is_visible(sight: SpanSight, across_m: Floats, margin_px: float) -> Mask:
+    """Return where (N, B) an image has what is somewhere across (N, B), not next to its border.
+
+    That is where lines were projected from, as recorded: whatever a conductor's height, its line is there.
+    """
+    axis, cameras = sight.axis, sight.cameras
+    side_m = ((cameras.positions[:, :2] - axis.start) @ axis.across)[:, np.newaxis]
+    with np.errstate(invalid="ignore"):
+        scale = sight.above_m / (cameras.positions[:, 2:] - axis.centres[:, 2])
+        recorded_m = side_m + (across_m - sight.side_m[:, np.newaxis]) / scale
+        points = axis.centres + recorded_m[..., np.newaxis] * np.append(axis.across, 0.0)
+        pixels, depths = cameras.project(points)
+        limits = cameras.sizes[:, np.newaxis] - margin_px
+        return np.asarray((depths > 0) & ((pixels >= margin_px) & (pixels < limits)).all(axis=-1))
 
 
 def _are_told_apart(sight: SpanSight, appears: Floats, found: Mask, rules: Rules) -> Mask:

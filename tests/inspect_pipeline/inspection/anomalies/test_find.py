@@ -145,6 +145,18 @@ def test_lines_that_turn_together_are_an_orientation_jump() -> None:
     assert found(three_lines(40, np.ones((40, 3), bool), slowly), "orientation_jump") == []
 
 
+def test_lines_that_turn_while_errors_of_positions_shift_them_are_an_orientation_jump() -> None:
+    def shifted(turned: np.ndarray) -> CameraRows:
+        camera = three_lines(40, np.ones((40, 3), bool), turned)
+        aside_px = np.random.default_rng(1).uniform(-60, 60, 40)[np.repeat(camera.lines.frame, 2)]
+        points = camera.lines.points + aside_px[:, None] * (1.0, 0.0)
+        return replace(camera, lines=replace(camera.lines, points=points))
+
+    assert found(shifted(np.zeros(40)), "orientation_jump") == []
+    turned = np.where(np.arange(40) < 25, 0.0, 25.0)
+    assert found(shifted(turned), "orientation_jump") == [("orientation_jump", 24, 25)]
+
+
 def with_line_across(rows: np.ndarray) -> CameraRows:
     """Three lines in forty frames, and one across them in some of these, track 9."""
     camera = three_lines(40, np.ones((40, 3), bool))

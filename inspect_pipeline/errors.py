@@ -190,8 +190,11 @@ class QueryValuesError(QueryError):
     """Raised when a named query is given other values than it needs."""
 
     def __init__(self, name: str, needed: Sequence[str]) -> None:
-        values = f"values of {', '.join(needed)}" if needed else "no values"
-        super().__init__(f"the query {name} takes {values}; give just these")
+        if needed:
+            message = f"the query {name} needs a value of {' and of '.join(needed)}, and no other"
+        else:
+            message = f"the query {name} takes no values; leave them out"
+        super().__init__(message)
         self.name, self.needed = name, tuple(needed)
 
 

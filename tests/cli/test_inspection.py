@@ -257,7 +257,7 @@ def test_named_queries(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     run("query", code=2)
     for arguments, words in (
         (["none"], "there are anomalies"),
-        (["coverage"], "takes values of flight"),
+        (["coverage"], "needs a value of flight, and no other"),
         (["flights", "--param", "x=1"], "takes no values"),
     ):
         with pytest.raises(QueryError, match=words):

@@ -123,7 +123,10 @@ def batch(
         Path | None, typer.Option(metavar="FILE", help="Write metrics for Prometheus, as in lsnet.prom.")
     ] = None,
     on_finish: Annotated[
-        str | None, typer.Option(metavar="CMD", help="Run this with the summary as JSON on its stdin.")
+        str | None,
+        typer.Option(
+            metavar="CMD", help="Run this program, without a shell, with the summary as JSON on its stdin."
+        ),
     ] = None,
     reports: Annotated[
         bool,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import InspectError, OutputError
-from inspect_pipeline.export.labels import COCO_FILE, to_coco, to_labelme
+from inspect_pipeline.export.labels import COCO_FILE, image_name, to_coco, to_labelme, write_labels
 from inspect_pipeline.images.draw import write_picture
 from inspect_pipeline.store.feedback import load_corrections
 from inspect_pipeline.store.images import iter_images, open_images
@@ -47,13 +45,13 @@ def export_corrections(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for one, image in _read_images(store, corrections, failures):
-            name = f"{one.flight_id[:16]}_{one.channel_id}_{one.frame_idx:06d}.jpg"
+            name = image_name(one.flight_id, one.channel_id, one.frame_idx)
             write_picture(folder / name, image)
             labelled.append((name, _frame_of(one), _lines_of(one)))
             if form == "labelme":
-                _write_json((folder / name).with_suffix(".json"), to_labelme(*labelled[-1]))
+                write_labels((folder / name).with_suffix(".json"), to_labelme(*labelled[-1]))
         if form == "coco":
-            _write_json(folder / COCO_FILE, to_coco(labelled))
+            write_labels(folder / COCO_FILE, to_coco(labelled))
     except OSError as error:
         raise OutputError(folder, f"cannot be written ({error.strerror})", "name another folder") from error
     return len(labelled), tuple(failures)
@@ -92,8 +90,3 @@ def _lines_of(one: Correction) -> list[dict[str, Any]]:
         {"points": [{"x": x, "y": y} for x, y in points], "score": 1.0, "track_id": None}
         for points in one.lines
     ]
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with appearing(path) as part:
-        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

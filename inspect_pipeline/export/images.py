@@ -7,12 +7,11 @@ oriented_imagery.csv  the table of ArcGIS
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from inspect_pipeline.atomic import appearing
 from inspect_pipeline.errors import InspectError, OutputError
-from inspect_pipeline.export.labels import COCO_FILE, to_coco, to_labelme
+from inspect_pipeline.export.labels import COCO_FILE, image_name, to_coco, to_labelme, write_labels
 from inspect_pipeline.export.oriented_imagery import (
     ORIENTED_IMAGERY_FIELDS,
     ORIENTED_IMAGERY_FILE,
@@ -85,7 +84,7 @@ def export_images(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for row, image in _read_images(store, rows, failures):
-            name = f"{row['flight_id'][:16]}_{row['channel_id']}_{row['frame_idx']:06d}.jpg"
+            name = image_name(*_key(row))
             write_photograph(folder / name, image, row)
             written[name] = row
             on_progress(len(written), len(rows))
@@ -137,11 +136,11 @@ def _write_labels(
         _write_table(folder / ORIENTED_IMAGERY_FILE, ORIENTED_IMAGERY_FIELDS, [row for row in placed if row])
     if form == "coco":
         labelled = ((name, row, lines.get(_key(row), [])) for name, row in written.items())
-        _write_json(folder / COCO_FILE, to_coco(labelled))
+        write_labels(folder / COCO_FILE, to_coco(labelled))
     if form == "labelme":
         for name, row in written.items():
             labels = to_labelme(name, row, lines.get(_key(row), []))
-            _write_json((folder / name).with_suffix(".json"), labels)
+            write_labels((folder / name).with_suffix(".json"), labels)
 
 
 def _write_table(path: Path, names: Sequence[str], rows: Iterable[Row]) -> None:
@@ -152,8 +151,3 @@ def _write_table(path: Path, names: Sequence[str], rows: Iterable[Row]) -> None:
 
 def _to_text(value: Any) -> Any:
     return "; ".join(map(str, value)) if isinstance(value, list) else value
-
-
-def _write_json(path: Path, content: Any) -> None:
-    with appearing(path) as part:
-        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

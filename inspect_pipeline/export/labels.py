@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
+from inspect_pipeline.atomic import appearing
 from inspect_pipeline.export.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     Row = Mapping[str, Any]
 
 COCO_FILE = "annotations.json"
 _LABEL = "wire"
+
+
+def image_name(flight_id: str, channel_id: int, frame_idx: int) -> str:
+    """Return the file name of an exported frame; labelme's labels of it have the same with .json."""
+    return f"{flight_id[:16]}_{channel_id}_{frame_idx:06d}.jpg"
+
+
+def write_labels(path: Path, labels: dict[str, Any]) -> None:
+    """Write labels as JSON, whole or not at all. Raises OSError."""
+    with appearing(path) as part:
+        part.write_text(json.dumps(labels, indent=1) + "\n", encoding="utf-8")
 
 
 def to_coco(images: Iterable[tuple[str, Row, Sequence[Row]]]) -> dict[str, Any]:

@@ -71,14 +71,9 @@ def export_images(
     Raises:
         OutputError, StoreError
     """
-    with open_index(store) as index:
-        table = Rows(what, index.read_export(what, flight_ids), redaction)
-        names = ["file", *table.schema.names]
-        rows = [row for row in table.dicts() if row["width"] is not None]
-        lines: Mapping[Key, list[Row]] = {}
-        if form in {"coco", "labelme"}:
-            wanted = {_key(row) for row in rows}
-            lines = _lines_of(Rows("lines", index.read_export("lines", flight_ids)), wanted)
+    names, rows, lines = _read_rows(
+        store, flight_ids, what, redaction, with_lines=form in {"coco", "labelme"}
+    )
     written: dict[str, Row] = {}
     failures: list[str] = []
     try:
@@ -88,11 +83,25 @@ def export_images(
             write_photograph(folder / name, image, row)
             written[name] = row
             on_progress(len(written), len(rows))
-        _write_table(folder / IMAGES_FILE, names, [{"file": name, **row} for name, row in written.items()])
+        table = [{"file": name, **row} for name, row in written.items()]
+        _write_table(folder / IMAGES_FILE, ["file", *names], table)
         _write_labels(folder, written, lines, form)
     except OSError as error:
         raise OutputError(folder, f"cannot be written ({error.strerror})", "name another folder") from error
     return ExportedImages(len(written), len(rows), tuple(failures))
+
+
+def _read_rows(
+    store: Store, flight_ids: Sequence[str], what: str, redaction: Redaction | None, *, with_lines: bool
+) -> tuple[list[str], list[Row], Mapping[Key, list[Row]]]:
+    """Return the columns of the frames, the frames with a size, and their lines, if these are asked for."""
+    with open_index(store) as index:
+        table = Rows(what, index.read_export(what, flight_ids), redaction)
+        rows: list[Row] = [row for row in table.dicts() if row["width"] is not None]
+        if not with_lines:
+            return table.schema.names, rows, {}
+        lines = Rows("lines", index.read_export("lines", flight_ids))
+        return table.schema.names, rows, _lines_of(lines, {_key(row) for row in rows})
 
 
 def _key(row: Row) -> Key:

@@ -11,7 +11,7 @@ const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf-8");
 const seen = { problems: [], requests: [], violations: [], wide: [] };
 
 async function open(browser, url, options, name) {
-  const context = await browser.newContext({ bypassCSP: true, ...options });
+  const context = await browser.newContext({ bypassCSP: true, reducedMotion: "reduce", ...options });
   const page = await context.newPage();
   page.on("console", (message) => message.type() !== "log" && seen.problems.push(`${name}: ${message.text()}`));
   page.on("pageerror", (error) => seen.problems.push(`${name}: ${error}`));

@@ -107,11 +107,12 @@ class FeatureExtractor(nn.Sequential):
 class Head(nn.Sequential):
     """A 2 x 2 convolution to the four grids, then 1 x 1: (N, C, R + 1, S + 1) to (N, K, R, S).
 
-    Without the first where both heads share it.
+    Without the first where both heads share it. `biases` (K,) are those that the outputs start with.
     """
 
-    def __init__(self, c_in: int, config: LSNetConfig, outputs: int) -> None:
-        final = nn.Conv2d(config.head_channels, outputs, 1)
+    def __init__(self, c_in: int, config: LSNetConfig, biases: tuple[float, ...]) -> None:
+        final = nn.Conv2d(config.head_channels, len(biases), 1)
+        final.bias = nn.Parameter(torch.tensor(biases))
         own = [] if config.shared_head else [transformation(c_in, config)]
         super().__init__(*own, final)
 
@@ -125,18 +126,16 @@ class Classifier(Head):
     """Two logits per cell: without and with a line segment."""
 
     def __init__(self, c_in: int, config: LSNetConfig) -> None:
-        super().__init__(c_in, config, outputs=2)
-        final = self[-1]
-        assert isinstance(final, nn.Conv2d) and final.bias is not None  # noqa: S101, PT018
-        with torch.no_grad():  # start near the share of cells with lines, as in RetinaNet
-            final.bias.copy_(torch.tensor([1.0, -1.0]))
+        super().__init__(
+            c_in, config, biases=(1.0, -1.0)
+        )  # near the share of cells with lines, as in RetinaNet
 
 
 class Regressor(Head):
     """Endpoints of the longest segment per cell: x1 y1 x2 y2 in cell fractions."""
 
     def __init__(self, c_in: int, config: LSNetConfig) -> None:
-        super().__init__(c_in, config, outputs=4)
+        super().__init__(c_in, config, biases=(0.5,) * 4)
 
 
 class RawOutput(NamedTuple):
@@ -167,7 +166,6 @@ class LSNet(nn.Module):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         for head in (self.classifier, self.regressor):
             nn.init.normal_(head[-1].weight, std=0.01)  # type: ignore[arg-type]
-        nn.init.constant_(self.regressor[-1].bias, 0.5)  # type: ignore[arg-type]
 
     def forward(self, images: Tensor) -> RawOutput:
         """Run a batch; the results equal those of its images one by one."""

@@ -213,15 +213,12 @@ def ablate(
     from lsnet.evaluation.compare.trainings import Comparison
     from lsnet.evaluation.report import open_grids
 
-    if (run is None) == (weights is None):
-        raise LSNetError("give --run to train, or --weights to score the grids of trained weights")
     names = [name.value for name in what or Ablation]
-    if weights is not None:
+    if weights is not None and run is None:
         if what and names != ["grids"]:
             raise LSNetError("only the ablation of the grids needs no training; give --run for the others")
         rows = ablation.ablate_grids(open_grids(weights, runtime), folders)
-    else:
-        assert run is not None  # noqa: S101
+    elif run is not None and weights is None:
         comparison = Comparison(
             run,
             tuple(background or ()),
@@ -238,4 +235,6 @@ def ablate(
         count = ablation.count_trainings(seeds, names, only)
         with _open_trainings("ablate", comparison, count, workers) as trainings:
             rows = ablation.ablate(trainings, network, seeds, names, only)
+    else:
+        raise LSNetError("give --run to train, or --weights to score the grids of trained weights")
     _print_rows(rows, method_tables(rows), as_json=as_json)

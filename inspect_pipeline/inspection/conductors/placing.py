@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from inspect_pipeline.inspection.conductors.sight import look_at_span
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from inspect_pipeline.arrays import Mask
+    from inspect_pipeline.arrays import Ints, Mask
     from inspect_pipeline.inspection.conductors.sight import SpanSight
     from inspect_pipeline.inspection.rules import Rules
 
@@ -28,6 +29,9 @@ _MAX_MIXED_M, _MIN_TOGETHER = 3.0, 0.3
 _LOST_SD_M = 1.0  # of positions of frames that could not be aligned
 _MOST_SUPERFLUOUS, _MAX_LOST = 4, 0.01  # places that are tried without; of what is explained
 _LEAST, _ENOUGH = 0.75, 0.95  # of the crossings that an alignment explains: else it is wrong; if it is good
+# Below this share, conductors are looked for by parts of the frames, of not more than so many, in rounds.
+_HARD, _N_PARTS, _ENOUGH_FRAMES, _N_PARTS_ROUNDS = 0.9, 4, 40, 2
+_FAR = 2.0  # times the usual reach: of frames that are not aligned yet
 
 
 class Placing(NamedTuple):
@@ -54,6 +58,8 @@ def place_conductors(raw: Sequence[SpanSight], rules: Rules) -> Placing:
     best = _place(raw, align_spans(raw), _NEAR_M)
     if best.explained < _ENOUGH:
         best = max(best, _place(raw, raw, _NEAR_RAW_M), key=lambda found: found.explained)
+    if best.explained < _HARD:
+        best = max(best, _place_by_parts(raw, rules), key=lambda found: found.explained)
     if best.explained < _LEAST:
         sights = [replace(one, shift_sd_m=max(one.shift_sd_m, _LOST_SD_M)) for one in best.sights]
         return best._replace(sights=sights)
@@ -67,6 +73,57 @@ def place_conductors(raw: Sequence[SpanSight], rules: Rules) -> Placing:
     return _without_superfluous(seen, again)
 
 
+def _place_by_parts(raw: Sequence[SpanSight], rules: Rules) -> Placing:
+    """Return the conductors that a part of the frames shows, by which all frames are then aligned.
+
+    Frames taken one after the other see conductors from nearly the same side, as a pattern.
+    """
+    thinned = [_thin_out(one) for one in raw]
+    found = []
+    for part in range(_N_PARTS):
+        some = [_take_part(one, part) for one in thinned]
+        places = _place(some, align_spans(some), _NEAR_M).places
+        if places:
+            found.append(_align_by(thinned, places))
+    if not found:
+        return Placing(list(raw), [], 0.0)
+    best = _align_by(raw, max(found, key=lambda one: one.explained).places)
+    for _ in range(_N_PARTS_ROUNDS):
+        if not best.places:
+            break
+        seen = [_look_again(one, rules) for one in best.sights]
+        better = _align_by(seen, best.places)
+        again = _place(seen, better.sights, _NEAR_M[-1:])
+        best = max(best, better, again, key=lambda one: one.explained)
+    return best
+
+
+def _align_by(sights: Sequence[SpanSight], places: Sequence[Place]) -> Placing:
+    """Return frames aligned by conductors, from anywhere near."""
+    shifted = [realign(one, places, _FAR) for one in sights]
+    moved, better = refine(sights, shifted, places, FREE_SD)
+    return Placing(moved, better, share_explained(moved, better))
+
+
+def _thin_out(sight: SpanSight) -> SpanSight:
+    """Return the sight with no more frames than needed to look for conductors."""
+    seen = np.flatnonzero(sight.fine.any(axis=1))
+    kept = np.unique(np.linspace(0, max(len(seen) - 1, 0), _ENOUGH_FRAMES).round().astype(np.int64))
+    return _take_frames(sight, seen[kept] if len(seen) else seen)
+
+
+def _take_part(sight: SpanSight, part: int) -> SpanSight:
+    """Return the sight with one of several parts of the frames that show the span."""
+    return _take_frames(sight, np.array_split(np.flatnonzero(sight.fine.any(axis=1)), _N_PARTS)[part])
+
+
+def _take_frames(sight: SpanSight, frames: Ints) -> SpanSight:
+    """Return the sight as if other frames showed nothing of the span."""
+    is_kept = np.isin(np.arange(len(sight.rows)), frames)
+    shown = sight.shown & is_kept[:, np.newaxis]
+    return replace(sight, view=sight.view.select(is_kept[sight.view.frame]), shown=shown)
+
+
 def _look_again(sight: SpanSight, rules: Rules) -> SpanSight:
     """Return what the frames of a sight show of its span by their corrected cameras."""
     again = look_at_span(sight.axis, sight.rows, sight.cameras, sight.lines, rules)
@@ -76,22 +133,30 @@ def _look_again(sight: SpanSight, rules: Rules) -> SpanSight:
 def _without_superfluous(raw: Sequence[SpanSight], found: Placing) -> Placing:
     """Return the conductors without those whose lines the others explain as well, if frames move a little.
 
-    Frames aligned by another wire of a bundle make one more of its wires than there are.
+    Frames aligned by another wire of a bundle make one more of its wires than there are: at the same side of
+    all bundles.
     """
     for _ in range(_MOST_SUPERFLUOUS):
-        mixed = np.flatnonzero(find_mixed(found))
-        if not len(mixed):
+        has = np.concatenate([frames_with(one, found.places) for one in found.sights])
+        pairs = _never_together(found.places, has)
+        if not pairs:
             break
-        has = np.concatenate([frames_with(one, found.places) for one in found.sights]).sum(axis=0)
-        rarest = int(min(mixed, key=lambda k: has[k]))
-        left = [place for k, place in enumerate(found.places) if k != rarest]
-        shifted = [realign(one, left) for one in found.sights]
-        sights, places = refine(raw, shifted, left)
-        fewer = Placing(sights, places, share_explained(sights, places))
+        sides = [sorted(set(side)) for side in zip(*pairs, strict=True)]
+        rarer = min(sides, key=lambda side: has[:, side].sum(axis=0).mean())
+        rarest = min((k for pair in pairs for k in pair), key=lambda k: has[:, k].sum())
+        tried = [_drop(raw, found, dropped) for dropped in (rarer, [rarest])]
+        fewer = max(tried, key=lambda one: one.explained)
         if fewer.explained < found.explained - _MAX_LOST:
             break
         found = fewer
     return found
+
+
+def _drop(raw: Sequence[SpanSight], found: Placing, dropped: Sequence[int]) -> Placing:
+    """Return the conductors without some, frames shifted to the others."""
+    left = [place for k, place in enumerate(found.places) if k not in dropped]
+    sights, places = refine(raw, [realign(one, left) for one in found.sights], left)
+    return Placing(sights, places, share_explained(sights, places))
 
 
 def _place(raw: Sequence[SpanSight], first: Sequence[SpanSight], near_m: Sequence[float]) -> Placing:
@@ -115,14 +180,22 @@ def find_mixed(found: Placing) -> Mask:
         return np.ones(len(found.places), bool)
     has = np.concatenate([frames_with(one, found.places) for one in found.sights])
     mixed = np.zeros(len(found.places), bool)
-    order = np.argsort([place.across_m for place in found.places])
-    for i, first in enumerate(order.tolist()):
-        for j, second in enumerate(order[i + 1 :].tolist(), start=i + 1):
-            near = found.places[second].across_m - found.places[first].across_m <= _MAX_MIXED_M
-            least = min(has[:, first].sum(), has[:, second].sum())
-            if near and np.count_nonzero(has[:, first] & has[:, second]) < _MIN_TOGETHER * least:
-                mixed[order[i : j + 1]] = True
+    order = np.argsort([place.across_m for place in found.places]).tolist()
+    for first, second in _never_together(found.places, has):
+        mixed[order[order.index(first) : order.index(second) + 1]] = True
     return _with_bundles(found.places, mixed)
+
+
+def _never_together(places: Sequence[Place], has: Mask) -> list[tuple[int, int]]:
+    """Return the pairs of conductors, from left to right, that hardly any frame (N, K) has lines of both."""
+    pairs = []
+    order = np.argsort([place.across_m for place in places]).tolist()
+    for first, second in combinations(order, 2):
+        near = places[second].across_m - places[first].across_m <= _MAX_MIXED_M
+        least = min(has[:, first].sum(), has[:, second].sum())
+        if near and np.count_nonzero(has[:, first] & has[:, second]) < _MIN_TOGETHER * least:
+            pairs.append((first, second))
+    return pairs
 
 
 def _with_bundles(places: Sequence[Place], mixed: Mask) -> Mask:

@@ -26,8 +26,7 @@ _LINE_NOISE_M, _LINE_NOISE_PX = 0.08, 2.0  # of a line in a frame; its crossings
 # Standard deviations of places: height and sag, of one conductor about the mean of all, and of that mean.
 _MOST_SAG_M = 0.75  # by which the sag of a conductor on all spans differs from that of the others
 _OWN_SD_M, _MEAN_SD_M = np.array([2.0, 0.4]), np.array([0.5, 0.4])
-# Standard deviations of pose errors: shift in m, turn in m per m, scale, and turn and roll by distance aside.
-# They are taken from the corrections themselves, within bounds.
+# Bounds of standard deviations of pose errors: shift in m, turn in m per m, scale, those by distance aside.
 _LEAST_SD = np.array([0.1, 0.003, 0.01, 0.0003, 0.0003])
 _MOST_SD = np.array([2.0, 0.05, 0.15, 0.003, 0.003])
 # Those expected once lines are matched: from small ones, turns about the other two axes would hardly grow.
@@ -94,10 +93,12 @@ def _usual_sd(corrections: Sequence[Floats], variances: Sequence[Floats]) -> Flo
 
 
 def _with_noise(sight: SpanSight, places: Sequence[Place], shift_sd_m: float) -> SpanSight:
-    """Return the sight with the noise of its crossings and positions, at least that known before."""
+    """Return the sight with the noise of its lines, and that of positions, at least that known before."""
     found = _match(sight, places)
-    away = np.abs(_residuals(sight, found, places))
-    noise_m = _MEDIAN_TO_SD * float(np.median(away)) if len(away) else sight.noise_m
+    line = sight.view.line[found.rows]
+    counts, sums_m = np.bincount(line), np.bincount(line, _residuals(sight, found, places))
+    away_m = np.abs(sums_m[counts > 0] / counts[counts > 0])
+    noise_m = _MEDIAN_TO_SD * float(np.median(away_m)) if len(away_m) else sight.noise_m
     return replace(sight, noise_m=noise_m, shift_sd_m=max(sight.shift_sd_m, shift_sd_m))
 
 

@@ -30,7 +30,7 @@ class SpanSight:
     positions of the camera along and to the left. above_m (N, B): heights of the camera above the nominal
     conductor. scale_px (N, B): pixels per metre across, perpendicular to the span in the image. gsd_m (N, B):
     metres per pixel. shown, coarse (N, B): where a frame shows a bin, and where too coarsely. noise_m:
-    standard deviation of crossings about the places of conductors. shift_sd_m: of errors of positions.
+    standard deviation of lines about the places of conductors. shift_sd_m: of errors of positions.
     """
 
     axis: SpanAxis

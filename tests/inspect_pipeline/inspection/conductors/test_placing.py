@@ -29,6 +29,8 @@ NOISY = SimulationOptions(
     24.0, 2.0, (720, 1280), 7, position_noise_m=2.0, drift_m=1.0, attitude_noise_deg=1.0
 )
 
+NOISY_ORBIT = replace(ORBIT, seed=9, position_noise_m=2.0, drift_m=1.0, attitude_noise_deg=1.0)
+
 
 def rows_of(folder: Path, options: SimulationOptions, table: str) -> list[dict[str, Any]]:
     """Rows of a table of the index of a flight with disturbed true lines."""
@@ -39,9 +41,16 @@ def rows_of(folder: Path, options: SimulationOptions, table: str) -> list[dict[s
     return select(store, f"SELECT * FROM {table}")
 
 
-def test_conductors_seen_from_all_sides_are_where_they_hang(tmp_path: Path) -> None:
-    """Two circuits, whose conductors hang below each other: a pattern that changes with the side."""
-    options = replace(ORBIT, n_circuits=2)
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(replace(ORBIT, n_circuits=2), id="a pattern that changes with the side"),
+        pytest.param(replace(NOISY_ORBIT, n_phases=6), id="frames of which a part is aligned first"),
+    ],
+)
+def test_conductors_seen_from_all_sides_are_where_they_hang(
+    tmp_path: Path, options: SimulationOptions
+) -> None:
     rows = rows_of(tmp_path, options, "conductors")
     true = np.array([(c.points[0, 1], c.points[:, 2].max()) for c in plan_flight(options).line.conductors])
     first = [row for row in rows if row["span_id"] == rows[0]["span_id"]]

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.rules import Rules
 
 _SAME_OFFSET, _SAME_ANGLE_DEG = 0.03, 4.0  # between a rotated line and its match; of the longer image side
+_MIN_MORE = 2  # lines that rotate than lines that stay: a shift makes one of either
 _MAX_SHIFT = 0.15  # of all lines of a frame, by errors of positions; of the longer image side
 _MAX_PAUSE_FRAMES = 2
 _MIN_DEPTH_M = 0.5
@@ -48,7 +49,7 @@ def find_orientation_jumps(camera: CameraRows, quality: FrameQuality, rules: Rul
             a = _appear_next(cameras, before, after, a, height_m)
         turn_deg, n_turned, n_kept = _best_turn(_normal_form(a, size), _normal_form(b, size), size.max())
         least = max(limits["min_lines"], limits["min_share"] * max(len(a), len(b)))
-        if abs(turn_deg) >= limits["min_jump_deg"] and n_turned >= least and n_turned > n_kept:
+        if abs(turn_deg) >= limits["min_jump_deg"] and n_turned >= least and n_turned >= n_kept + _MIN_MORE:
             reason = f"{n_turned} lines rotate by {turn_deg:+.0f} degrees from one frame to the next"
             shown = np.array([before, after])
             limit = limits["min_jump_deg"]

@@ -29,6 +29,7 @@ _OFTEN = 2.0  # times min_support: of a gap that errors of positions hardly make
 _LONG = 2.0  # times the least length: ends of a shorter stretch must be seen in more frames
 _MIN_END_SEEN = 0.5  # of the weight of a good view, with exact poses; else min_support
 _MAX_ALL_SEEN = 0.2  # of what frames show without a conductor: with all lines, one of them a false one
+_FEW_LINES, _MOSTLY_ABSENT = 0.1, 0.5  # of those; of what is known of a conductor without lines
 _MAX_WITH_LINE = 0.3  # of the frames with a line of other conductors: those with one of a missing one
 _MIN_PRESENT_SHARE = 0.3  # of what is known of a conductor, from which on a span has it
 
@@ -56,7 +57,7 @@ def inner_bins(one: SpanEvidence, rules: Rules) -> Mask:
 
 def missing_conductors(one: SpanEvidence, rules: Rules) -> Ints:
     """Return the conductors that other spans of the flight have and this one lacks nearly all along."""
-    absent = np.setdiff1d(_absent(one, rules), _in_frames(one))
+    absent = np.setdiff1d(_absent(one, rules), _in_frames(one, _MAX_WITH_LINE))
     return absent[[not _is_seen_ending(one, number, rules) for number in absent.tolist()]]
 
 
@@ -68,20 +69,25 @@ def _is_seen_ending(one: SpanEvidence, number: int, rules: Rules) -> bool:
 
 
 def _absent(one: SpanEvidence, rules: Rules) -> Ints:
-    """Return the conductors that are absent nearly wherever it is known of them."""
+    """Return the conductors that are absent nearly wherever it is known of them.
+
+    Or in most of it, if hardly any frame has a line of it: it may be another line that is present.
+    """
     limits, inner = rules.of("conductor_count"), inner_bins(one, rules)
     states = one.states[:, inner]
     n_known, n_absent = (states != UNKNOWN).sum(axis=1), (states == ABSENT).sum(axis=1)
     is_long = n_known >= one.axis.n_bins(limits["min_length_m"])
-    return np.flatnonzero(is_long & (n_absent >= limits["min_share"] * n_known))
+    min_share = np.full(len(states), limits["min_share"])
+    min_share[np.setdiff1d(np.arange(len(states)), _in_frames(one, _FEW_LINES))] = _MOSTLY_ABSENT
+    return np.flatnonzero(is_long & (n_absent >= min_share * n_known))
 
 
-def _in_frames(one: SpanEvidence) -> Ints:
-    """Return the conductors of which many frames have a line, compared with the others of the span."""
+def _in_frames(one: SpanEvidence, least_share: float) -> Ints:
+    """Return the conductors of which enough frames have a line, compared with the others of the span."""
     if one.votes is None:
         return np.zeros(0, np.int64)
     n_frames = one.votes.in_frame.sum(axis=0)
-    return np.flatnonzero(n_frames > _MAX_WITH_LINE * np.median(n_frames))
+    return np.flatnonzero(n_frames > least_share * np.median(n_frames))
 
 
 def doubt_rare(evidence: Sequence[SpanEvidence], rules: Rules) -> list[SpanEvidence]:
@@ -99,7 +105,7 @@ def doubt_rare(evidence: Sequence[SpanEvidence], rules: Rules) -> list[SpanEvide
     for one in evidence:
         states = one.states.copy()
         states[[number for number in rare if number < len(states)]] = UNKNOWN
-        states[np.intersect1d(_absent(one, rules), _in_frames(one))] = UNKNOWN
+        states[np.intersect1d(_absent(one, rules), _in_frames(one, _MAX_WITH_LINE))] = UNKNOWN
         doubted.append(replace(one, states=states))
     return doubted
 
@@ -193,10 +199,9 @@ def _goes_on(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
     """Return whether some frames have a conductor on both sides of a stretch, if not enough to be sure."""
     if one.votes is None:
         return False
-    in_favour = (one.votes.weight - one.votes.against)[:, number].sum(axis=0) >= rules.anomalies[
-        "min_support"
-    ]
-    return bool(in_favour[: bins[0]].any() and in_favour[bins[-1] + 1 :].any())
+    in_favour = (one.votes.weight - one.votes.against)[:, number].sum(axis=0)
+    is_seen = inner_bins(one, rules) & (in_favour >= rules.anomalies["min_support"])
+    return bool(is_seen[: bins[0]].any() and is_seen[bins[-1] + 1 :].any())
 
 
 def _whole(one: SpanEvidence, bins: Ints, known: Ints) -> Ints:

@@ -26,12 +26,17 @@ def lines(
         int, typer.Option(min=0, metavar="N", help="Seed of the scenes and the initial weights.")
     ] = 0,
     workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes that draw.")] = 1,
+    context_only: Annotated[
+        bool,
+        typer.Option("--context-only", help="Keep the networks of the score; train what their context says."),
+    ] = False,
 ) -> None:
     """Train the score of lines.
 
     The network of the weights proposes lines in drawn and rendered scenes and in photographs without wires;
-    small networks learn which of them are wires. The network itself stays as it is. The last tenth of the
-    photographs of each folder, and of the rendered pictures, is for validation only.
+    small networks learn which of them are wires, others what the proposals around one say about it. The
+    network itself stays as it is. The last tenth of the photographs of each folder, and of the rendered
+    pictures, is for validation only.
 
     \b
     Examples:
@@ -48,6 +53,7 @@ def lines(
             scenes=scenes,
             seed=seed,
             workers=workers,
+            context_only=context_only,
             on_scene=advance,
         )
     if trained.validation:

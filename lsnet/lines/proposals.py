@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -42,3 +44,9 @@ class Proposals:
 
     def __len__(self) -> int:
         return len(self.polylines)
+
+    @property
+    def ends(self) -> Floats:
+        """(C, 4) ends of the polylines: x1, y1, x2, y2."""
+        lines = self.polylines
+        return np.concatenate([lines.points[lines.first[:-1]], lines.points[lines.first[1:] - 1]], axis=1)

@@ -1,15 +1,24 @@
-"""The learned score of a line: small networks on its features, blended with the odds of its segments."""
+"""The learned score of a line: small networks on its features, the odds of its segments, and its context."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from safetensors.numpy import load as load_tensors
 
+from lsnet.lines.context import (
+    CONTEXT,
+    LEAST_DOUBT,
+    LEAST_PRIOR,
+    LineContext,
+    LineLayout,
+    context_inputs,
+    has_context,
+)
 from lsnet.lines.features import FEATURES, features_of, log_odds
+from lsnet.lines.perceptrons import Perceptrons
 from lsnet.weights_file import LINE_SCORE_PREFIX, unusable
 
 if TYPE_CHECKING:
@@ -17,60 +26,45 @@ if TYPE_CHECKING:
     from lsnet.lines.proposals import Proposals
     from lsnet.weights_file import WeightsFile
 
-LAYERS = 3
-LEAST_DOUBT = 0.01  # of the odds of segments
+LEAST_SCORE = 1e-9
 MAX_LEARNED = 3.0  # logit of the networks for proposals with weak segments: on evaluation images 2.8
-MAX_DEVIATIONS = 4.0  # features beyond are cut
-_ROWS = 20  # at a time: for larger products BLAS wakes threads, which then spin for 0.1 s of CPU time each
+CONTEXT_PREFIX = "context."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineScore:
-    """M networks of three layers, whose logits are added to that of the prior, each with a factor.
+    """M networks, whose logits are added to that of the prior, each with a factor, and the context.
 
     Attributes:
-        mean, deviation: (M, 1, FEATURES) of the features in training.
-        weights, biases: Per layer (M, I, J) and (M, 1, J).
+        networks: Of the features of proposals.
         blend: (M + 2,) factors of the logits of the networks, factor of that of the prior, and a constant.
+        context: What other proposals say; None if they do not count.
     """
 
-    mean: Floats32
-    deviation: Floats32
-    weights: tuple[Floats32, ...]
-    biases: tuple[Floats32, ...]
+    networks: Perceptrons
     blend: Floats32
+    context: LineContext | None = None
 
     def __post_init__(self) -> None:
-        widths = [FEATURES, *(w.shape[-1] for w in self.weights)]
-        count = len(self.mean)
-        shapes = [(count, a, b) for a, b in pairwise(widths)]
+        count = len(self.networks)
         if (
-            [w.shape for w in self.weights] != shapes
-            or [b.shape for b in self.biases] != [(count, 1, b) for b in widths[1:]]
-            or not self.mean.shape == self.deviation.shape == (count, 1, FEATURES)
-            or widths[-1] != 1
+            self.networks.inputs != FEATURES
             or self.blend.shape != (count + 2,)
+            or (self.context and self.context.networks.inputs != count + 2 + CONTEXT)
         ):
             raise ValueError("tensors of the line score that do not fit")
 
-    def logits(self, features: Floats32) -> Floats32:
-        """Return (M, C) logits of features (C, FEATURES)."""
-        starts = range(0, max(len(features), 1), _ROWS)
-        return np.concatenate([self._logits(features[i : i + _ROWS]) for i in starts], axis=1)
-
-    def _logits(self, features: Floats32) -> Floats32:
-        x = (features - self.mean) / self.deviation
-        x = np.clip(x, -MAX_DEVIATIONS, MAX_DEVIATIONS)
-        for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            x = np.maximum(x @ weights + biases, 0)
-        out: Floats32 = (x @ self.weights[-1] + self.biases[-1])[..., 0]
+    def first_logits(self, learned: Floats32, priors: RealArray) -> RealArray:
+        """Return (C,) logits of the score without the context, from those of the networks (M, C)."""
+        out: RealArray = self.blend[:-2] @ learned + self._prior_logits(priors)
         return out
 
-    def scores(self, features: Floats32, priors: RealArray) -> Floats:
-        """Return (C,) scores of features (C, FEATURES) and prior scores (C,)."""
-        logits = self.blend[:-2] @ self.logits(features) + self._prior_logits(priors)
-        out: Floats = 1 / (1 + np.exp(-logits))
-        return out
+    def logits(self, learned: Floats32, layout: LineLayout) -> RealArray:
+        """Return (C,) logits of the score of proposals in an image that is large enough for a context."""
+        first = self.first_logits(learned, layout.priors)
+        if self.context is None:
+            return first
+        return first + self.context.added(context_inputs(layout, learned, first))
 
     def _prior_logits(self, priors: RealArray) -> RealArray:
         """Return (C,) what the logits are without the networks."""
@@ -83,40 +77,56 @@ class LineScore:
         """Return (C,) scores of proposals in an image (H, W, 3), from scores (R, K) of its cells.
 
         Proposals that the networks would have to give more than `MAX_LEARNED` to reach `min_score` are not
-        looked at: their score is without the networks.
+        looked at, unless they count as context of others: their score is without the networks.
         """
         logits = self._prior_logits(proposals.prior)
         reach = MAX_LEARNED * self.blend[:-2].sum()
-        within_reach = np.flatnonzero(logits + reach >= log_odds(np.array(min_score), 1e-9))
-        if len(within_reach):
-            learned = self.logits(features_of(image, cell_scores, proposals, within_reach))
-            logits[within_reach] += self.blend[:-2] @ learned
+        is_looked_at = logits + reach >= log_odds(np.array(min_score), LEAST_SCORE)
+        is_alone = not has_context(proposals.image_size, proposals.enlargement)
+        if is_looked_at.any():
+            if not is_alone:
+                is_looked_at |= proposals.prior >= LEAST_PRIOR
+            chosen = np.flatnonzero(is_looked_at)
+            learned = self.networks.logits(features_of(image, cell_scores, proposals, chosen))
+            logits[chosen] = (
+                self.first_logits(learned, proposals.prior[chosen])
+                if is_alone
+                else self.logits(learned, LineLayout.of(proposals, chosen))
+            )
         out: Floats = 1 / (1 + np.exp(-logits))
         return out
 
     def tensors(self) -> dict[str, Floats32]:
         """Return the tensors by their names in a weights file."""
-        named = {"mean": self.mean, "deviation": self.deviation, "blend": self.blend}
-        named |= {f"{k}.weight": w for k, w in enumerate(self.weights)}
-        named |= {f"{k}.bias": b for k, b in enumerate(self.biases)}
+        named = self.networks.tensors() | {"blend": self.blend}
+        if self.context:
+            named |= {CONTEXT_PREFIX + name: tensor for name, tensor in self.context.tensors().items()}
         return {LINE_SCORE_PREFIX + name: np.ascontiguousarray(tensor) for name, tensor in named.items()}
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, Floats32]) -> LineScore:
         """Read what `tensors` returns. Raises LookupError or ValueError for other tensors."""
-        named = {
-            name.removeprefix(LINE_SCORE_PREFIX): np.asarray(tensor, np.float32)
-            for name, tensor in tensors.items()
-        }
-        if len(named) != 2 * LAYERS + 3 or not all(np.isfinite(tensor).all() for tensor in named.values()):
-            raise ValueError("missing, unknown or infinite tensors of the line score")
-        return cls(
-            named["mean"],
-            named["deviation"],
-            tuple(named[f"{k}.weight"] for k in range(LAYERS)),
-            tuple(named[f"{k}.bias"] for k in range(LAYERS)),
-            named["blend"],
-        )
+        if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
+            raise ValueError("infinite tensors of the line score")
+        own = _below(LINE_SCORE_PREFIX, tensors)
+        context = _below(CONTEXT_PREFIX, own)
+        own = {name: tensor for name, tensor in own.items() if not name.startswith(CONTEXT_PREFIX)}
+        return cls(*_networks_and_blend(own), LineContext(*_networks_and_blend(context)) if context else None)
+
+
+def _below(prefix: str, tensors: dict[str, Floats32]) -> dict[str, Floats32]:
+    """Tensors whose names begin with a prefix, by the rest of their names."""
+    return {
+        name.removeprefix(prefix): np.asarray(tensor, np.float32)
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
+
+
+def _networks_and_blend(named: dict[str, Floats32]) -> tuple[Perceptrons, Floats32]:
+    """Raises LookupError or ValueError for other tensors."""
+    blend = named.pop("blend")
+    return Perceptrons.from_tensors(named), blend
 
 
 def read_line_score(file: WeightsFile) -> LineScore | None:

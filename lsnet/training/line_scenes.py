@@ -72,6 +72,9 @@ class Examples:
         lengths_px: (N,).
         kinds: (N,) `SceneKind`.
         scenes: (N,) number of the scene.
+        ends: (N, 4) x1, y1, x2, y2.
+        image_sizes: (N, 2) height and width of the scene as the network sees it.
+        enlargements: (N,) factor by which the scene was enlarged for it.
     """
 
     features: Floats32
@@ -80,6 +83,9 @@ class Examples:
     lengths_px: Floats
     kinds: Ints
     scenes: Ints
+    ends: Floats
+    image_sizes: Ints
+    enlargements: Floats
 
     @classmethod
     def joined(cls, parts: Sequence[Examples]) -> Examples:
@@ -127,6 +133,9 @@ class LineScenes:
             proposals.extent_px,
             np.full(len(proposals), kind, np.int64),
             np.full(len(proposals), index, np.int64),
+            proposals.ends,
+            np.tile(np.array(proposals.image_size, np.int64), (len(proposals), 1)),
+            np.full(len(proposals), proposals.enlargement),
         )
 
     def __getitem__(self, index: int) -> tuple[Sample, SceneKind, float]:

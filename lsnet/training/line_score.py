@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import nn
 
 from lsnet.errors import LSNetError
-from lsnet.lines.score import LineScore
+from lsnet.lines.score import LineScore, read_line_score
+from lsnet.training.line_networks import as_perceptrons, fit, fit_context, scores_of
 from lsnet.training.line_scenes import SceneKind
 from lsnet.training.line_sources import LineSource, collect
 from lsnet.training.line_validation import validate
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from torch import Tensor
-
-    from lsnet.arrays import Floats32
     from lsnet.synth.backgrounds import Part
     from lsnet.training.line_scenes import Examples
     from lsnet.training.line_validation import LineValidation
@@ -40,31 +36,6 @@ MEMBERS = (
     tuple(kind for kind in SceneKind if kind != SceneKind.TOWER),
 )
 BLEND = (0.08, 0.12, 0.02, 0.4, 0.25, 0.8, 0.2)  # factors of the members and of the prior, and a constant
-WIDTHS = (64, 32)
-EPOCHS, BATCH, LEARNING_RATE, WEIGHT_DECAY = 7, 512, 3e-3, 0.05
-NOISE, DROPOUT = 0.1, 0.15  # noise of the features, in deviations
-MAX_DEVIATIONS = 4.0
-
-
-class LineScoreNet(nn.Module):
-    """One member: features (N, F) to logits (N,)."""
-
-    mean: Tensor
-    deviation: Tensor
-
-    def __init__(self, mean: Tensor, deviation: Tensor) -> None:
-        super().__init__()
-        self.register_buffer("mean", mean)
-        self.register_buffer("deviation", deviation)
-        self.layers = [nn.Linear(a, b) for a, b in pairwise((len(mean), *WIDTHS, 1))]
-        drops = [nn.Sequential(layer, nn.ReLU(), nn.Dropout(DROPOUT)) for layer in self.layers[:-1]]
-        self.body = nn.Sequential(*drops, self.layers[-1])
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Run a batch."""
-        x = ((features - self.mean) / self.deviation).clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS)
-        out: Tensor = self.body(x)[:, 0]
-        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +55,7 @@ def train_line_score(
     scenes: int = 6000,
     seed: int = 0,
     workers: int = 1,
+    context_only: bool = False,
     on_scene: Callable[[], None] = lambda: None,
 ) -> TrainedLineScore:
     """Train the line score of weights on drawn and rendered scenes, and write them with it.
@@ -98,6 +70,7 @@ def train_line_score(
         scenes: To train on; a tenth as many more for validation.
         seed: Of the scenes and the initial weights.
         workers: Processes that draw.
+        context_only: Whether the networks of the line score that the weights have are kept.
         on_scene: Called after each scene of both.
 
     Raises:
@@ -105,6 +78,9 @@ def train_line_score(
             cannot be written.
     """
     file = read_weights(weights)
+    kept = read_line_score(file) if context_only else None
+    if context_only and not kept:
+        raise LSNetError(f"{weights}: has no line score whose networks could be kept; train all of it")
     parts: tuple[tuple[Part, int, int], ...] = (
         ("training", seed, scenes),
         ("held out", seed + VALIDATION_SEED, held_out_of(scenes)),
@@ -113,16 +89,26 @@ def train_line_score(
         collect(LineSource(weights, tuple(backgrounds), rendered, part, first), count, workers, on_scene)
         for part, first, count in parts
     )
-    members = [trained_on.of(kinds) for kinds in MEMBERS] if trained_on else []
-    if not members or min(len(member.targets) for member in members) < 2:
-        raise LSNetError(f"too few proposals in {scenes} scenes to train on; draw more scenes")
     with one_thread():
-        score = as_line_score([fit(member, seed + k) for k, member in enumerate(members)])
+        score = fit_score(trained_on, seed, kept) if trained_on else None
+    if score is None:
+        raise LSNetError(f"too few proposals in {scenes} scenes to train on; draw more scenes")
     validation = None
     if held_out:
-        scores = score.scores(held_out.features, held_out.priors)
-        validation = validate(held_out, scores, file.card.min_score)
+        validation = validate(held_out, scores_of(score, held_out), file.card.min_score)
     return TrainedLineScore(save_weights(output, load_network(file), file.card, score), validation)
+
+
+def fit_score(examples: Examples, seed: int, kept: LineScore | None = None) -> LineScore | None:
+    """Train networks, unless those of another score are kept, and their context; None without examples."""
+    if kept:
+        return replace(kept, context=fit_context(kept, examples, seed))
+    members = [examples.of(kinds) for kinds in MEMBERS]
+    if min(len(member.targets) for member in members) < 2:
+        return None
+    nets = [fit(each.features, each.targets, each.lengths_px, seed + k) for k, each in enumerate(members)]
+    score = LineScore(as_perceptrons(nets), np.array(BLEND, np.float32))
+    return replace(score, context=fit_context(score, examples, seed))
 
 
 @contextmanager
@@ -139,42 +125,3 @@ def one_thread() -> Iterator[None]:
 def held_out_of(scenes: int) -> int:
     """Return the number of scenes for validation."""
     return scenes // 10
-
-
-def fit(examples: Examples, seed: int) -> LineScoreNet:
-    """Train one member; long lines count for more."""
-    torch.manual_seed(seed)
-    features, targets = torch.from_numpy(examples.features), torch.from_numpy(examples.targets).float()
-    importance = torch.from_numpy(np.sqrt(examples.lengths_px / 100).clip(0.3, 4)).float()
-    importance /= importance.mean()
-    net = LineScoreNet(features.mean(dim=0), features.std(dim=0) + 0.02)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-    batches = max(1, len(targets) // BATCH)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, EPOCHS * batches)
-    for _ in range(EPOCHS):
-        for batch in torch.randperm(len(targets)).chunk(batches):
-            noisy = features[batch] + torch.randn_like(features[batch]) * net.deviation * NOISE
-            losses = nn.functional.binary_cross_entropy_with_logits(
-                net(noisy), targets[batch] * 0.98 + 0.01, reduction="none"
-            )
-            optimizer.zero_grad()
-            (losses * importance[batch]).mean().backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-            schedule.step()
-    return net.eval()
-
-
-def as_line_score(members: Sequence[LineScoreNet]) -> LineScore:
-    """Return the trained members in the form of a weights file."""
-
-    def stacked(tensors: Sequence[Tensor]) -> Floats32:
-        return np.stack([np.asarray(tensor.detach().numpy(), np.float32) for tensor in tensors])
-
-    layers = range(len(WIDTHS) + 1)
-    return LineScore(
-        stacked([net.mean[None] for net in members]),
-        stacked([net.deviation[None] for net in members]),
-        tuple(stacked([net.layers[k].weight.T for net in members]) for k in layers),
-        tuple(stacked([net.layers[k].bias[None] for net in members]) for k in layers),
-        np.array(BLEND, np.float32),
-    )

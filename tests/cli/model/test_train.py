@@ -37,6 +37,19 @@ def test_lines_trains_a_score_that_detection_uses(tmp_path: Path) -> None:
     assert all(np.array_equal(new[name], old[name]) for name in old if not name.startswith("line_score."))
 
 
+def test_lines_can_keep_the_networks_of_a_score(tmp_path: Path) -> None:
+    openvino_or_skip()
+    folder = photos(tmp_path / "photos", 12)
+    result = run("lines", "--context-only", "--background", folder, "--scenes", 20, "-o", "new.safetensors")
+    assert (result.exit_code, result.stderr) == (0, "")
+    new, old = (load_file(file) for file in ("new.safetensors", path_of("fast")))
+    changed = {name for name in old if not np.array_equal(new[name], old[name])}
+    assert "line_score.context.0.weight" in changed
+    assert all(name.startswith("line_score.context.") for name in changed)
+    result = run("lines", "--context-only", "--weights", "w.safetensors", "-o", "new.safetensors")
+    assert "w.safetensors: has no line score whose networks could be kept" in str(result.exception)
+
+
 def test_lines_needs_proposals_to_train_on() -> None:
     result = run("lines", "--scenes", 1, "--weights", "w.safetensors", "-o", "new.safetensors")
     assert result.exit_code != 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import cv2
@@ -13,7 +14,9 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from lsnet import Detector, LSNetError, load_weights
+from lsnet.lines.context import CONTEXT, LineContext
 from lsnet.lines.features import FEATURES, features_of
+from lsnet.lines.perceptrons import Perceptrons
 from lsnet.lines.polylines import Polylines
 from lsnet.lines.proposals import Proposals
 from lsnet.lines.score import LineScore, read_line_score
@@ -27,15 +30,23 @@ SIZE = (256, 320)
 WIRES = ([[10.0, 40.0], [300.0, 90.0]], [[60.0, 200.0], [200.0, 150.0], [310.0, 130.0]])
 
 
+def networks(rng: np.random.Generator, *widths: int, count: int) -> Perceptrons:
+    draw = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
+    return Perceptrons(
+        draw(count, 1, widths[0]),
+        np.ones((count, 1, widths[0]), np.float32),
+        tuple(draw(count, a, b) for a, b in pairwise(widths)),
+        tuple(draw(count, 1, b) for b in widths[1:]),
+    )
+
+
 def a_score(seed: int = 0) -> LineScore:
     rng = np.random.default_rng(seed)
-    draw = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
+    context = networks(rng, CONTEXT + 4, 3, 1, count=1)
     return LineScore(
-        draw(2, 1, FEATURES),
-        np.ones((2, 1, FEATURES), np.float32),
-        (draw(2, FEATURES, 8), draw(2, 8, 4), draw(2, 4, 1)),
-        (draw(2, 1, 8), draw(2, 1, 4), draw(2, 1, 1)),
+        networks(rng, FEATURES, 8, 4, 1, count=2),
         np.array([0.1, 0.2, 0.7, 0.0], np.float32),
+        LineContext(context, np.array([0.5, 0.1], np.float32)),
     )
 
 
@@ -88,10 +99,21 @@ def test_weights_without_a_line_score_have_none(tmp_path: Path) -> None:
     assert read_line_score(read_weights(save_tiny(tmp_path / "w.safetensors"))) is None
 
 
+def test_older_weights_have_a_score_without_a_context(tmp_path: Path) -> None:
+    path, score = tmp_path / "w.safetensors", replace(a_score(), context=None)
+    save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5), score)
+    loaded = read_line_score(read_weights(path))
+    assert loaded is not None
+    assert loaded.context is None
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("blend", np.zeros(3, np.float32)),
+        ("context.blend", np.zeros(3, np.float32)),
+        ("context.0.weight", np.zeros((1, CONTEXT, 3), np.float32)),
+        ("context.other", np.zeros(1, np.float32)),
         ("1.weight", np.zeros((2, 8, 5), np.float32)),
         ("mean", np.full((2, 1, FEATURES), np.nan, np.float32)),
         ("other", np.zeros(1, np.float32)),
@@ -133,16 +155,32 @@ def test_lines_out_of_reach_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -
     assert (score.rate(textured(), cells, proposals, min_score=0.99) < 0.99).all()
 
 
+def test_the_context_counts_whatever_the_least_score_is() -> None:
+    """The second line is out of reach of 0.75, but context of the first."""
+    score, cells = a_score(), np.full((SIZE[0] // 16 - 1, SIZE[1] // 16 - 1), 0.1, np.float32)
+    proposals = replace(proposals_of(WIRES), prior=np.array([0.9, 0.04]))
+    every, some = (score.rate(textured(), cells, proposals, least) for least in (0.0, 0.75))
+    np.testing.assert_allclose(some, every, rtol=1e-6)
+    alone = replace(score, context=None).rate(textured(), cells, proposals)
+    odds = np.log(every / (1 - every)) - np.log(alone / (1 - alone))
+    assert (np.abs(odds - 0.1) <= 0.5 * 2 + 1e-6).all()  # the evidence, limited, times its factor
+    assert np.abs(odds - 0.1).max() > 1e-3
+    small = replace(proposals, enlargement=3.0)
+    features = features_of(textured(), cells, small)
+    expected = score.first_logits(score.networks.logits(features), small.prior)
+    np.testing.assert_allclose(score.rate(textured(), cells, small), 1 / (1 + np.exp(-expected)), rtol=1e-5)
+
+
 @pytest.mark.parametrize("count", [0, 1, 20, 57])
 def test_logits_are_those_of_the_formula(count: int) -> None:
     """However many lines there are; in float64, network by network and line by line."""
-    score = a_score()
+    nets = a_score().networks
     features = np.random.default_rng(count).normal(size=(count, FEATURES)).astype(np.float32)
-    logits = score.logits(features)
-    assert logits.shape == (len(score.mean), count)
+    logits = nets.logits(features)
+    assert logits.shape == (len(nets), count)
     for m, of_network in enumerate(logits):
         for own, logit in zip(features.astype(np.float64), of_network, strict=True):
-            x = np.clip((own - score.mean[m, 0]) / score.deviation[m, 0], -4, 4)
+            x = np.clip((own - nets.mean[m, 0]) / nets.deviation[m, 0], -4, 4)
             for k in range(2):
-                x = np.maximum(x @ score.weights[k][m] + score.biases[k][m, 0], 0)
-            assert logit == pytest.approx((x @ score.weights[2][m] + score.biases[2][m, 0]).item(), abs=1e-3)
+                x = np.maximum(x @ nets.weights[k][m] + nets.biases[k][m, 0], 0)
+            assert logit == pytest.approx((x @ nets.weights[2][m] + nets.biases[2][m, 0]).item(), abs=1e-3)

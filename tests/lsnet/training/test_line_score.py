@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -12,14 +13,16 @@ import torch
 from nets import TINY, openvino_or_skip, tiny_net
 
 from lsnet.errors import LSNetError
+from lsnet.lines.context import LineLayout
 from lsnet.lines.features import FEATURES
 from lsnet.lines.overlap import find_overlaps
+from lsnet.lines.perceptrons import Perceptrons
 from lsnet.lines.polylines import Polylines
-from lsnet.lines.score import read_line_score
+from lsnet.lines.score import LineScore, read_line_score
 from lsnet.synth.backgrounds import BackgroundPool
 from lsnet.synth.pbr import scenes as pbr_scenes
 from lsnet.synth.pbr.scenes import laid_over, rendered_pictures
-from lsnet.training import line_scenes, line_score
+from lsnet.training import line_networks, line_scenes
 from lsnet.training.line_scenes import Examples, LineScenes, SceneKind
 from lsnet.training.line_sources import LineSource, collect
 from lsnet.training.line_validation import validate
@@ -46,25 +49,85 @@ def test_the_share_of_a_line_on_a_wire_counts_place_and_direction() -> None:
     assert find_overlaps(found, Polylines.of([]), reach_px=3.0).shares().tolist() == [0, 0, 0, 0]
 
 
+def made_up(features: np.ndarray, targets: np.ndarray, scenes: np.ndarray) -> Examples:
+    """Return examples without places, of towers."""
+    count = len(targets)
+    ones = np.ones(count)
+    return Examples(
+        features,
+        ones / 2,
+        targets,
+        100 * ones,
+        np.full(count, SceneKind.TOWER),
+        scenes,
+        np.zeros((count, 4)),
+        np.full((count, 2), 500),
+        ones,
+    )
+
+
 def test_a_score_learns_and_is_the_same_in_a_weights_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(line_score, "BATCH", 50)
+    monkeypatch.setattr(line_networks, "BATCH", 50)
     rng = np.random.default_rng(0)
     features = rng.normal(size=(1500, FEATURES)).astype(np.float32)
     targets = (features[:, 7] > 0).astype(float)
-    ones = np.ones(1500, np.int64)
-    examples = Examples(features, ones / 2, targets, np.full(1500, 100.0), ones, ones)
-    nets = [line_score.fit(examples, seed) for seed in range(len(line_score.MEMBERS))]
+    lengths_px = np.full(1500, 100.0)
+    nets = [line_networks.fit(features, targets, lengths_px, seed) for seed in (0, 1)]
     path = tmp_path / "w.safetensors"
-    save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5), line_score.as_line_score(nets))
+    score = LineScore(line_networks.as_perceptrons(nets), np.array([0.5, 0.5, 0, 0], np.float32))
+    save_weights(path, tiny_net(), WeightsCard("a", "fast", TINY, 0.5), score)
     loaded = read_line_score(read_weights(path))
     assert loaded is not None
-    logits = loaded.logits(features)
+    logits = loaded.networks.logits(features)
     assert ((logits > 0) == targets).mean() > 0.9
     with torch.no_grad():
         expected = np.stack([net(torch.from_numpy(features)).numpy() for net in nets])
     np.testing.assert_allclose(logits, expected, atol=1e-4)
+
+
+def test_the_difference_of_networks_is_one_network() -> None:
+    """Of two that see five inputs and two that see the first three."""
+    rng = np.random.default_rng(0)
+    inputs = rng.normal(size=(300, 5)).astype(np.float32)
+    targets = (inputs[:, 4] > 0).astype(float)
+    recipe = line_networks.NetworkRecipe((6,), 2)
+    seeing, blind = (
+        [line_networks.fit(seen, targets, np.full(300, 100.0), seed, recipe) for seed in (0, 1)]
+        for seen in (inputs, inputs[:, :3].copy())
+    )
+    with torch.no_grad():
+        means = [
+            np.mean([net(torch.from_numpy(seen)).numpy() for net in nets], axis=0)
+            for nets, seen in ((seeing, inputs), (blind, inputs[:, :3].copy()))
+        ]
+    found = line_networks.as_difference(seeing, blind)
+    assert len(found) == 1
+    np.testing.assert_allclose(found.logits(inputs)[0], means[0] - means[1], atol=1e-5)
+
+
+def test_a_context_learns_that_wires_come_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first score knows some wires; the others are only known by the company of those."""
+    monkeypatch.setattr(line_networks, "BATCH", 50)
+    rng = np.random.default_rng(1)
+    scenes = np.repeat(np.arange(200), 6)
+    has_wires = rng.random(200) < 0.5
+    targets = has_wires[scenes].astype(float)
+    features = np.zeros((1200, FEATURES), np.float32)
+    features[:, 0] = np.where((targets > 0) & (rng.random(1200) < 0.4), 2, -1)
+    weights = np.zeros((1, FEATURES, 1), np.float32)
+    weights[0, 0, 0] = 1
+    flat = np.zeros((1, 1, FEATURES), np.float32)
+    networks = Perceptrons(flat, flat + 1, (weights,), (np.zeros((1, 1, 1), np.float32),))
+    score = LineScore(networks, np.array([1, 0, 0], np.float32))
+    examples = made_up(features, targets, scenes)
+    context = line_networks.fit_context(score, examples, 0)
+    unknown = (features[:, 0] < 0) & (np.bincount(scenes, features[:, 0] > 0)[scenes] >= 2)
+    found = line_networks.scores_of(replace(score, context=context), examples)
+    before = line_networks.scores_of(score, examples)
+    assert (found[unknown] > before[unknown] + 0.1).all()
+    assert (found[targets == 0] < found[unknown].min()).all()
 
 
 def test_scenes_are_the_same_for_the_same_seed_and_of_every_kind(
@@ -146,6 +209,9 @@ def test_validation_counts_lengths_by_kind_and_scenes_without_wires() -> None:
         np.array([100.0, 100, 50, 80, 80, 80]),
         kinds,
         np.array([0, 0, 0, 1, 1, 2]),
+        np.zeros((6, 4)),
+        np.full((6, 2), 500),
+        np.ones(6),
     )
     found = validate(examples, np.array([0.9, 0.4, 0.6, 0.7, 0.8, 0.1]), 0.5)
     assert found.f1 == {SceneKind.CLUTTER: pytest.approx(2 * (2 / 3) * 0.5 / (2 / 3 + 0.5))}
@@ -154,15 +220,21 @@ def test_validation_counts_lengths_by_kind_and_scenes_without_wires() -> None:
 
 
 def test_the_scores_are_those_that_rate_proposals() -> None:
+    """In two scenes: one large enough for a context, one enlarged."""
     score = read_line_score(read_weights("fast"))
     assert score is not None
-    features = np.random.default_rng(0).normal(size=(4, FEATURES)).astype(np.float32)
-    priors = np.array([0.001, 0.2, 0.5, 0.9])
-    blend = score.blend.astype(float)
-    logits = [
-        sum(blend[m] * score.logits(features)[m, k] for m in range(len(blend) - 2))
-        + blend[-2] * np.log(max(p, 0.01) / (1 - max(p, 0.01)))
-        + blend[-1]
-        for k, p in enumerate(priors)
-    ]
-    np.testing.assert_allclose(score.scores(features, priors), 1 / (1 + np.exp(-np.array(logits))), rtol=1e-4)
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(6, FEATURES)).astype(np.float32)
+    priors = np.array([0.001, 0.2, 0.5, 0.9, 0.3, 0.6])
+    examples = replace(
+        made_up(features, np.zeros(6), np.array([0, 0, 0, 0, 1, 1])),
+        priors=priors,
+        ends=rng.uniform(0, 500, (6, 4)),
+        enlargements=np.array([1.0, 1, 1, 1, 3, 3]),
+    )
+    found = line_networks.scores_of(score, examples)
+    learned = score.networks.logits(features)
+    first = score.first_logits(learned, priors)
+    layout = LineLayout(examples.ends[:4], examples.lengths_px[:4], priors[:4], (500, 500))
+    np.testing.assert_allclose(found[:4], 1 / (1 + np.exp(-score.logits(learned[:, :4], layout))), rtol=1e-5)
+    np.testing.assert_allclose(found[4:], 1 / (1 + np.exp(-first[4:])), rtol=1e-5)

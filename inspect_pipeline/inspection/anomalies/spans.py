@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _TRACK_START_FRAMES = 5  # until all lines of a new view have their tracks
 _MIN_AGREEING = 0.75  # of the bins that a frame votes on: with what all frames say
+_MIN_FOUND = 0.5  # of the weight of frames at the end of a stretch
 _OFTEN = 2.0  # times min_support: of a gap that errors of positions hardly make
 _LONG = 2.0  # times the least length: ends of a shorter stretch must be seen in more frames
 _MIN_END_SEEN = 0.5  # of the weight of a good view, with exact poses; else min_support
@@ -196,12 +197,16 @@ def _find_deficits(
 
 
 def _goes_on(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
-    """Return whether some frames have a conductor on both sides of a stretch, if not enough to be sure."""
+    """Return whether some frames have a conductor on both sides of a stretch, if not enough to be sure.
+
+    Errors of positions may widen a gap up to the end of the view: most frames have a line there all the same.
+    """
     if one.votes is None:
         return False
     in_favour = (one.votes.weight - one.votes.against)[:, number].sum(axis=0)
     is_seen = inner_bins(one, rules) & (in_favour >= rules.anomalies["min_support"])
-    return bool(is_seen[: bins[0]].any() and is_seen[bins[-1] + 1 :].any())
+    is_found = one.votes.found[number, bins[[0, -1]]] >= _MIN_FOUND
+    return bool((is_seen[: bins[0]].any() or is_found[0]) and (is_seen[bins[-1] + 1 :].any() or is_found[1]))
 
 
 def _whole(one: SpanEvidence, bins: Ints, known: Ints) -> Ints:

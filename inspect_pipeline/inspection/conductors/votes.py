@@ -35,13 +35,15 @@ class Votes:
 
     owner (L,): the conductor that each line belongs to, or NO_CONDUCTOR. in_frame (N, K): whether a frame has
     a line of it. weight, against (N, K, B): of a frame's vote on a bin, and of its votes that a conductor is
-    absent. hidden (K, B): views that another conductor spoils, as a share.
+    absent. found (K, B): the share of the weight that a line is found with, before errors of positions are
+    allowed for. hidden (K, B): views that another conductor spoils, as a share.
     """
 
     owner: Ints
     in_frame: Mask
     weight: Floats
     against: Floats
+    found: Floats
     hidden: Floats
 
 
@@ -66,7 +68,8 @@ def count_votes(sight: SpanSight, places: Sequence[Place], rules: Rules) -> Vote
     weight[_share_found(in_frame, says) < _MIN_FOUND] = 0.0
     hidden = np.asarray(visible & ~says).sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
     absent = _widen(~present & visible, sight.widened_bins)
-    return Votes(owner, in_frame, weight, np.where(absent, weight, 0.0), hidden)
+    share = (weight * present).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9)
+    return Votes(owner, in_frame, weight, np.where(absent, weight, 0.0), share, hidden)
 
 
 def _widen(absent: Mask, n_bins: int) -> Mask:

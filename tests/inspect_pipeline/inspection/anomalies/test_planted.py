@@ -107,6 +107,19 @@ GAP_NEAR_THE_END_OF_A_NOISY_VIEW = SimulationOptions(
     wind_deg=8.0,
     faults=(FaultKind.CONDUCTOR_GAP,),
 )
+GAP_UP_TO_THE_END_OF_A_NOISY_VIEW = SimulationOptions(
+    40.0,
+    1.0,
+    (720, 1280),
+    15905,
+    flight=FlightKind.HOVER,
+    position_noise_m=2.0321749944331455,
+    drift_m=0.7362628459251861,
+    attitude_noise_deg=1.0,
+    hills_m=5.0,
+    wind_deg=8.0,
+    faults=(FaultKind.CONDUCTOR_GAP,),
+)
 MISSED_IN_FEW_FRAMES = SimulationOptions(
     40.0, 1.0, (1080, 1920), 13506, flight=FlightKind.LOSS, n_phases=6, hills_m=5.0
 )
@@ -151,6 +164,7 @@ FEW_NOISY_FRAMES = SimulationOptions(
         (WIRE_THAT_LEAVES_ITS_BUNDLE, "conductors_converging"),
         (HIGH_CONDUCTORS_IN_WIND, "orientation_jump"),
         (GAP_NEAR_THE_END_OF_A_NOISY_VIEW, "conductor_gap"),
+        (GAP_UP_TO_THE_END_OF_A_NOISY_VIEW, "conductor_gap"),
         (FEW_NOISY_FRAMES, "conductor_count"),
     ],
 )

@@ -205,6 +205,7 @@ def _goes_on(one: SpanEvidence, number: int, bins: Ints, rules: Rules) -> bool:
         return False
     in_favour = (one.votes.weight - one.votes.against)[:, number].sum(axis=0)
     is_seen = inner_bins(one, rules) & (in_favour >= rules.anomalies["min_support"])
+    is_seen |= one.is_present[number]  # up to the structure
     is_found = one.votes.found[number, bins[[0, -1]]] >= _MIN_FOUND
     return bool((is_seen[: bins[0]].any() or is_found[0]) and (is_seen[bins[-1] + 1 :].any() or is_found[1]))
 

@@ -59,3 +59,8 @@ def test_an_end_two_metres_before_the_end_of_the_view_is_found() -> None:
     (one,) = found(np.full(20, 50.0), ((0.0, 58.0),))
     assert one.kind == "conductor_lost"
     assert "2 of 3 conductors beyond 58 m" in one.reason
+
+
+def test_a_gap_near_a_structure_is_no_end() -> None:
+    (one,) = found(np.full(20, 92.0), ((0.0, 94.8), (97.2, 100.0)))
+    assert one.kind == "conductor_gap"

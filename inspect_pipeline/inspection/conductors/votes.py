@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _APART = 1.2  # times what is near a conductor's place: nearer conductors say nothing of each other
 _ALONE = 1.7  # times that: of conductors nearer than this, the other must have a line in the frame
 _MISSED_WEIGHT = 0.5  # of a frame in which a conductor was found nowhere: it may have been missed
+_END_BINS = 1  # beside a gap: frames show its ends one bin nearer or farther
 _MIN_DEPTH_M = 0.5  # of conductors below the camera
 _MIN_FOUND = 0.5  # of the conductors that a frame shows; others of poor detection or pose say nothing
 
@@ -67,9 +68,18 @@ def count_votes(sight: SpanSight, places: Sequence[Place], rules: Rules) -> Vote
     weight *= np.where(in_frame, 1.0, _MISSED_WEIGHT)[:, :, np.newaxis]
     weight[_share_found(in_frame, says) < _MIN_FOUND] = 0.0
     hidden = np.asarray(visible & ~says).sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
-    absent = _widen(~present & visible, sight.widened_bins)
+    missed: Mask = ~present & visible
+    if not sight.widened_bins:  # else that counts as absent
+        weight[present & _widen(missed & _is_between(present), _END_BINS)] = 0.0
+    absent = _widen(missed, sight.widened_bins)
     share = (weight * present).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9)
     return Votes(owner, in_frame, weight, np.where(absent, weight, 0.0), share, hidden)
+
+
+def _is_between(present: Mask) -> Mask:
+    """Return what is between the first and the last bin (N, K, B) with a line, in each frame."""
+    backwards = np.logical_or.accumulate(present[..., ::-1], axis=2)[..., ::-1]
+    return np.asarray(np.logical_or.accumulate(present, axis=2) & backwards)
 
 
 def _widen(absent: Mask, n_bins: int) -> Mask:

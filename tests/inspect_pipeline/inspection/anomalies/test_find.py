@@ -219,6 +219,21 @@ def test_a_line_that_ends_in_the_picture_is_a_lost_conductor() -> None:
     assert one.lat_deg == pytest.approx(52.0, abs=1e-5)
 
 
+def test_a_gap_that_frames_show_a_metre_apart_is_found() -> None:
+    """2 m (100 px) without the line in the middle, 1 m farther in every other frame: all agree on 1 m."""
+    camera = three_lines(40, np.ones((40, 3), bool))
+    middle = camera.lines.points.reshape(-1, 3, 2, 2)[:, 1]
+    start_px = np.where(np.arange(40) % 2, 500.0, 450.0)
+    before, after = middle.copy(), middle.copy()
+    before[:, 1, 1], after[:, 0, 1] = start_px + 100, start_px
+    others = camera.lines.points.reshape(-1, 3, 2, 2)[:, ::2]
+    points = np.concatenate((others, before[:, np.newaxis], after[:, np.newaxis]), axis=1)
+    tracks = np.tile([0, 2, 1, 3], 40)
+    lines = LineRows(np.repeat(np.arange(40), 4), tracks, 2 * np.arange(161), points.reshape(-1, 2))
+    (one,) = find_anomalies([replace(camera, lines=lines)], [span(expected=3)], RULES)
+    assert (one.kind, one.value) == ("conductor_gap", pytest.approx(2, abs=1.01))
+
+
 def test_lines_missed_here_and_there_are_no_anomaly() -> None:
     present = np.random.default_rng(3).random((200, 3)) > 0.1
     assert not find_anomalies([three_lines(200, present)], [span(expected=3)], RULES)

@@ -21,6 +21,7 @@ OUTCOMES = (
     "judged",
     "conductors not measured",
     "wires aligned",
+    "lines in pieces",
     "too few views",
     "no conductor found",
     "too coarse",
@@ -30,7 +31,7 @@ OUTCOMES = (
 )
 JUDGED = OUTCOMES.index("judged")
 NOT_MEASURED = OUTCOMES.index("conductors not measured")
-ALIGNED, TOO_FEW, NOT_FOUND, _TOO_COARSE, _NOT_IN_VIEW = range(2, 7)
+ALIGNED, IN_PIECES, TOO_FEW, NOT_FOUND, _TOO_COARSE, _NOT_IN_VIEW = range(2, 8)
 _NOT_NEAR = len(OUTCOMES) - 1
 
 

@@ -125,6 +125,18 @@ def gather_evidence(
     return evidence
 
 
+def share_missed(evidence: Sequence[SpanEvidence]) -> float:
+    """Return the share of conductors that frames miss, of those frames that have a part of their lines."""
+    missed = shown = 0.0
+    for one in evidence:
+        if one.votes is not None:
+            in_frame = one.votes.in_frame[:, :, np.newaxis]
+            is_open = one.states != ABSENT
+            missed += float((one.votes.against * in_frame).sum(axis=0)[is_open].sum())
+            shown += float((one.votes.weight * in_frame).sum(axis=0)[is_open].sum())
+    return missed / max(shown, 1e-9)
+
+
 def evidence_lines(camera: CameraRows, rules: Rules) -> LineRows:
     """Return lines confirmed by tracks; of photographs all lines. Those without one have ids of their own."""
     is_video = camera.cadence(rules).is_video

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,12 +26,14 @@ from inspect_pipeline.inspection.anomalies.spans import (
 from inspect_pipeline.inspection.conductors.rows import conductor_rows
 from inspect_pipeline.inspection.judgement import (
     ALIGNED,
+    IN_PIECES,
     JUDGED,
     NOT_MEASURED,
     OUTCOMES,
     TOO_FEW,
     SpanOutcomes,
 )
+from inspect_pipeline.inspection.span_evidence import PRESENT, UNKNOWN, share_missed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from inspect_pipeline.inspection.span_evidence import SpanEvidence
 
 _MIN_EXPLAINED = 0.9  # of what lines show, where errors of poses could explain the rest
+_ABOUT_ABSENCE = ("conductor_count", "conductor_lost", "conductor_gap")
 _HIDDEN_SHARE = 0.5  # of the views of a bin, from which on its conductor is hidden by another
 
 
@@ -62,6 +65,9 @@ def find_on_spans(
 ) -> ConductorFindings:
     """Apply all rules about conductors to the spans near the path of a camera."""
     evidence = doubt_rare(evidence, rules)
+    is_whole = share_missed(evidence) <= rules.anomalies["max_missed_share"]
+    if not is_whole:
+        evidence = [replace(one, states=np.where(one.is_present, PRESENT, UNKNOWN)) for one in evidence]
     usual = usual_count(evidence, rules)
     findings: list[Finding] = []
     outcomes: list[SpanOutcomes] = []
@@ -76,9 +82,10 @@ def find_on_spans(
         known = {number for finding in moved for number in finding.conductors}
         findings += moved
         findings += find_crossings_of_span(one, evidence, origin, rules)
-        found = list(find_count_changes(one, expected, origin, rules)) if expected else []
+        found = list(find_count_changes(one, expected, origin, rules)) if expected and is_whole else []
         findings += [each for each in found if not known.intersection(each.conductors)]
-        outcomes.append(_outcomes(one, expected, conductors, found, rules))
+        outcome = _outcomes(one, expected, conductors, found, rules)
+        outcomes.append(outcome if is_whole else _doubt_absence(outcome))
         fits = {each.number: each.fit for each in conductors}
         rows += conductor_rows(channel_id, one, [fits.get(k) for k in range(len(one.places))])
     return ConductorFindings(findings, outcomes, rows)
@@ -125,6 +132,15 @@ def _outcomes(
             "conductors_converging": _measured(shares, compared),
         },
     )
+
+
+def _doubt_absence(outcomes: SpanOutcomes) -> SpanOutcomes:
+    """Return the outcomes where lines are in pieces: that a part has none says nothing of the conductor."""
+    by_kind = {
+        kind: _move(shares, JUDGED, IN_PIECES) if kind in _ABOUT_ABSENCE else shares
+        for kind, shares in outcomes.by_kind.items()
+    }
+    return replace(outcomes, by_kind=by_kind)
 
 
 def _count_outcomes(one: SpanEvidence, expected: int) -> Floats:

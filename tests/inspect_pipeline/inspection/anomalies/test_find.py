@@ -234,6 +234,25 @@ def test_a_gap_that_frames_show_a_metre_apart_is_found() -> None:
     assert (one.kind, one.value) == ("conductor_gap", pytest.approx(2, abs=1.01))
 
 
+@pytest.mark.parametrize(("piece_px", "outcome"), [(0.0, "judged"), (120.0, "lines in pieces")])
+def test_where_lines_are_in_pieces_absence_is_not_judged(piece_px: float, outcome: str) -> None:
+    """A piece of each line is missing somewhere in each frame, and the upper end of one line in all."""
+    camera = three_lines(40, np.ones((40, 3), bool))
+    whole = camera.lines.points.reshape(-1, 2, 2)
+    whole[camera.lines.track == 1, 1, 1] = 500.0
+    cut_px = np.random.default_rng(8).uniform(550, 700, len(whole))
+    before, after = whole.copy(), whole.copy()
+    before[:, 1, 1], after[:, 0, 1] = cut_px + piece_px, cut_px
+    points = np.stack((before, after), axis=1).reshape(-1, 2)
+    frame, track = np.repeat(camera.lines.frame, 2), np.repeat(camera.lines.track, 2)
+    lines = LineRows(frame, track, 2 * np.arange(len(frame) + 1), points)
+    found = inspect_cameras([replace(camera, lines=lines)], [span(expected=3)], RULES)
+    outcomes = {one.outcome for one in found.judgements if one.kind == "conductor_lost"}
+    assert outcome in outcomes
+    assert {"judged", "lines in pieces"} & outcomes == {outcome}
+    assert [one.kind for one in found.anomalies] == ([] if piece_px else ["conductor_lost"])
+
+
 def test_lines_missed_here_and_there_are_no_anomaly() -> None:
     present = np.random.default_rng(3).random((200, 3)) > 0.1
     assert not find_anomalies([three_lines(200, present)], [span(expected=3)], RULES)

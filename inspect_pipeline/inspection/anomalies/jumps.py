@@ -17,7 +17,7 @@ from inspect_pipeline.inspection.poses import camera_poses, find_origin
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from inspect_pipeline.arrays import Floats, Ints, Mask
+    from inspect_pipeline.arrays import Floats, Mask
     from inspect_pipeline.geometry.camera import CameraPoses
     from inspect_pipeline.inspection.rows import CameraRows, FrameQuality
     from inspect_pipeline.inspection.rules import Rules
@@ -86,7 +86,8 @@ def _best_turn(
 ) -> tuple[float, int, int]:
     """Return the rotation in degrees of most lines, their number, and the number of lines that stay.
 
-    Errors of positions shift all lines of a frame alike, whether they rotate or stay.
+    No rotation where not clearly more lines rotate than stay. Errors of positions shift all lines of a frame
+    alike, whether they rotate or stay. Rotations that cannot fit more lines than a known one are not tried.
     """
     (offsets, angles), (next_offsets, next_angles) = first, second
     turns = (next_angles[np.newaxis] - angles[:, np.newaxis] + 90) % 180 - 90
@@ -98,15 +99,33 @@ def _best_turn(
         return 0.0, 0, 0
     radians = np.radians(next_angles)
     normals = np.column_stack((np.sin(radians), -np.cos(radians)))
-    shifts = (away[..., np.newaxis] * normals)[is_near]
-    left = np.abs(away - np.append(np.zeros((1, 2)), shifts, axis=0)[:, np.newaxis] @ normals.T)
-    same = left <= _SAME_OFFSET * longer_px  # (1 + P, M, N), the first without a shift
-    of_turn = [_count_pairs(same, turns, turn_deg).max() for turn_deg in turns[is_near]]
-    best = float(turns[is_near][int(np.argmax(of_turn))])
-    return best, int(max(of_turn)), int(_count_pairs(same, turns, 0.0).max())
+    shifts = np.append(np.zeros((1, 2)), (away[..., np.newaxis] * normals)[is_near], axis=0)
+
+    is_in_reach = np.abs(away) <= (_MAX_SHIFT + _SAME_OFFSET) * longer_px
+
+    def fits(turn_deg: float) -> Mask:
+        return np.asarray(is_in_reach & (np.abs(turns - turn_deg) <= _SAME_ANGLE_DEG))
+
+    n_kept = _count_pairs(away, shifts, normals, fits(0.0), _SAME_OFFSET * longer_px)
+    best, n_turned = -1, n_kept + _MIN_MORE - 1
+    candidates = turns[is_near].tolist() if n_turned < min(turns.shape) else []
+    at_most = [min(fits(turn_deg).any(axis=k).sum() for k in (0, 1)) for turn_deg in candidates]
+    for i in sorted(range(len(candidates)), key=lambda i: -at_most[i]):
+        if at_most[i] < n_turned:
+            break
+        found = _count_pairs(away, shifts, normals, fits(candidates[i]), _SAME_OFFSET * longer_px)
+        if (found, -i) > (n_turned, -best):
+            best, n_turned = i, found
+    return (candidates[best], n_turned, n_kept) if best >= 0 else (0.0, n_kept, n_kept)
 
 
-def _count_pairs(same: Mask, turns: Floats, turn_deg: float) -> Ints:
-    """Count the lines of one frame that have a match in the other after a rotation, for each shift."""
-    fits = same & (np.abs(turns - turn_deg) <= _SAME_ANGLE_DEG)
-    return np.asarray(np.minimum(fits.any(axis=1).sum(axis=1), fits.any(axis=2).sum(axis=1)))
+def _count_pairs(away: Floats, shifts: Floats, normals: Floats, fits: Mask, near_px: float) -> int:
+    """Count the lines of one frame that have a match in the other, after the shift (S, 2) that gives most."""
+    first, second = np.nonzero(fits)
+    left = np.abs(away[fits] - shifts @ normals[second].T)  # (S, Q) of the pairs that fit
+    same = np.asarray(left <= near_px, np.float32)
+    counts = [
+        np.count_nonzero(same @ np.eye(n, dtype=np.float32)[of] > 0, axis=1)
+        for n, of in zip(fits.shape, (first, second), strict=True)
+    ]
+    return int(np.minimum(*counts).max())

@@ -187,6 +187,16 @@ FlightOption = Annotated[
 _FLIGHT_HELP = "A flight_id or its first characters, the name of its recording, or last."
 FlightArgument = Annotated[str, typer.Argument(metavar="FLIGHT", help=_FLIGHT_HELP)]
 OptionalFlightArgument = Annotated[str | None, typer.Argument(metavar="FLIGHT", help=_FLIGHT_HELP)]
+PortOption = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        max=65535,
+        metavar="N",
+        show_default=False,
+        help="Port of this machine. Default: a free one.",
+    ),
+]
 InboxArgument = Annotated[
     list[str], typer.Argument(metavar="INBOX", help="Folders, recordings, or globs in quotes.")
 ]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import StoreOption, open_store
+from inspect_pipeline.commands.options import PortOption, StoreOption, open_store
 from inspect_pipeline.commands.output import print_line
 
 
@@ -20,16 +20,7 @@ def review(
             help="A flight_id or its first characters, the name of its recording, or last. Default: all.",
         ),
     ] = None,
-    port: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            max=65535,
-            metavar="N",
-            show_default=False,
-            help="Port of this machine. Default: a free one.",
-        ),
-    ] = 0,
+    port: PortOption = 0,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     store: StoreOption = None,
 ) -> None:

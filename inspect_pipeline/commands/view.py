@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspect_pipeline.commands.options import OptionalFlightArgument, StoreOption, open_store
+from inspect_pipeline.commands.options import OptionalFlightArgument, PortOption, StoreOption, open_store
 from inspect_pipeline.commands.output import print_line
 
 if TYPE_CHECKING:
@@ -25,16 +25,7 @@ def view(
     lichtblick: Annotated[
         str, typer.Option(metavar="URL", help="Address of a Lichtblick in the browser.")
     ] = "http://localhost:8080",
-    port: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            max=65535,
-            metavar="N",
-            show_default=False,
-            help="Port of this machine. Default: a free one.",
-        ),
-    ] = 0,
+    port: PortOption = 0,
     store: StoreOption = None,
 ) -> None:
     """Show a flight in Lichtblick or Foxglove.

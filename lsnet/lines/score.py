@@ -59,10 +59,10 @@ class LineScore:
         out: RealArray = self.blend[:-2] @ learned + self._prior_logits(priors)
         return out
 
-    def logits(self, learned: Floats32, layout: LineLayout) -> RealArray:
-        """Return (C,) logits of the score of proposals in an image that is large enough for a context."""
-        first = self.first_logits(learned, layout.priors)
-        if self.context is None:
+    def logits(self, learned: Floats32, priors: RealArray, layout: LineLayout | None) -> RealArray:
+        """Return (C,) logits of the score; layout: None in an image that is too small for a context."""
+        first = self.first_logits(learned, priors)
+        if self.context is None or layout is None:
             return first
         return first + self.context.added(context_inputs(layout, learned, first))
 
@@ -88,11 +88,8 @@ class LineScore:
                 is_looked_at |= proposals.prior >= LEAST_PRIOR
             chosen = np.flatnonzero(is_looked_at)
             learned = self.networks.logits(features_of(image, cell_scores, proposals, chosen))
-            logits[chosen] = (
-                self.first_logits(learned, proposals.prior[chosen])
-                if is_alone
-                else self.logits(learned, LineLayout.of(proposals, chosen))
-            )
+            layout = None if is_alone else LineLayout.of(proposals, chosen)
+            logits[chosen] = self.logits(learned, proposals.prior[chosen], layout)
         out: Floats = 1 / (1 + np.exp(-logits))
         return out
 

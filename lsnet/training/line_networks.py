@@ -155,11 +155,7 @@ def scores_of(score: LineScore, examples: Examples) -> Floats:
     """Return (N,) scores of the proposals of whole scenes."""
     logits = np.zeros(len(examples.targets))
     for rows, layout, learned in each_scene(score, examples):
-        logits[rows] = (
-            score.first_logits(learned, examples.priors[rows])
-            if layout is None
-            else score.logits(learned, layout)
-        )
+        logits[rows] = score.logits(learned, examples.priors[rows], layout)
     out: Floats = 1 / (1 + np.exp(-logits))
     return out
 

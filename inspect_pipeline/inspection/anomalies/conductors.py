@@ -31,10 +31,8 @@ _USUAL_QUANTILE = 0.8  # of the distances of two conductors along the span, take
 _MIN_COMPARED = 0.4  # of the span, along which the distance of two conductors must be known
 _BUNDLE_M = 0.8  # between wires of a bundle, at most
 _MOST_USUAL = 1.25  # times their distance on all spans: one may have moved away in the rest
-_LEAST_VIEWS, _FEW_AGREE = (
-    2,
-    0.25,
-)  # fewer than min_views count where they agree within a share of max_spread_m
+_LEAST_VIEWS = 2  # fewer than min_views count where they agree
+_FEW_AGREE = 0.25  # of max_spread_m, within which they do
 _MIN_APART, _MIN_APART_SD = 2.0, 4.0  # times aligned_px, or the noise: nearer conductors are not compared
 _MIN_ASIDE = 0.5  # of the distance of two conductors, as it appears: else one is nearly behind the other
 _NOISY_USUAL = 1.5  # times min_usual_m: under noise, wires of a bundle appear farther apart than they are

@@ -236,5 +236,6 @@ def test_the_scores_are_those_that_rate_proposals() -> None:
     learned = score.networks.logits(features)
     first = score.first_logits(learned, priors)
     layout = LineLayout(examples.ends[:4], examples.lengths_px[:4], priors[:4], (500, 500))
-    np.testing.assert_allclose(found[:4], 1 / (1 + np.exp(-score.logits(learned[:, :4], layout))), rtol=1e-5)
+    with_context = score.logits(learned[:, :4], priors[:4], layout)
+    np.testing.assert_allclose(found[:4], 1 / (1 + np.exp(-with_context)), rtol=1e-5)
     np.testing.assert_allclose(found[4:], 1 / (1 + np.exp(-first[4:])), rtol=1e-5)
